@@ -23,7 +23,6 @@
 6A in its receive interrupt. The firmware decides, not its DBC file, which numbers the mask's bits differently.
 """
 
-import enum
 import struct
 from typing import Final, NamedTuple
 
@@ -46,30 +45,31 @@ CLEARED: Final = 0x97
 GOING_OFF: Final = 0x67
 OFF_PRESSED: Final = 0x69
 
-ASK_ERROR: Final = CanFrame(0x64)
-CLEAR_ERROR: Final = CanFrame(0x96)
-ASK_CURRENTS: Final = tuple(CanFrame(each) for each in (0x70, 0x72, 0x74, 0x76, 0x78, 0x7A))
-ASK_RAILS: Final = tuple(CanFrame(each) for each in (0x7C, 0x7E, 0x80, 0x82, 0x84, 0x86))
-
 MANIPULATOR_5V_3V3_MA: Final = 0x7C
 STANDBY_SUPPLY_MA: Final = 0x7E
 CONVERTERS_1_TO_3_MV: Final = 0x80
 CONVERTERS_4_5_MV: Final = 0x82
 SUPPLY_BATTERY_MV: Final = 0x84
 TEMPERATURES_C: Final = 0x86
-"""Questions about the board's rails."""
+_LAYOUTS: Final = {
+    **dict.fromkeys((0x70, 0x72, 0x74, 0x76, 0x78, 0x7A), struct.Struct(">3H")),
+    MANIPULATOR_5V_3V3_MA: struct.Struct(">3H"),
+    STANDBY_SUPPLY_MA: struct.Struct(">2H"),
+    CONVERTERS_1_TO_3_MV: struct.Struct(">3H"),
+    CONVERTERS_4_5_MV: struct.Struct(">2H"),
+    SUPPLY_BATTERY_MV: struct.Struct(">2H"),
+    TEMPERATURES_C: struct.Struct(">3h"),
+}
+ASK_ERROR: Final = CanFrame(0x64)
+CLEAR_ERROR: Final = CanFrame(0x96)
+ASK_CURRENTS: Final = tuple(map(CanFrame, _LAYOUTS))[:6]
+ASK_RAILS: Final = tuple(map(CanFrame, _LAYOUTS))[6:]
 
 CONVERTER_OVERCURRENT: Final = 1
 SERVO_OVERCURRENT: Final = 2
 OVERTEMPERATURE: Final = 4
 SUPPLY_LOW: Final = 8
 """Codes of errors."""
-
-
-class Supplied(NamedTuple):
-    """The board feeds these outputs."""
-
-    mask: int
 
 
 class BoardValues(NamedTuple):
@@ -88,31 +88,9 @@ class BoardError(NamedTuple):
 
 
 UNREADABLE: Final = BoardError(0, "the power board reports an error that cannot be read", ALL)
-
-
-class BoardNotice(enum.Enum):
-    """An answer without data, by its identifier."""
-
-    NO_ERROR = ERROR
-    """The board has no error to show."""
-    CLEARED = CLEARED
-    """The error shown last is deleted."""
-    OFF_PRESSED = OFF_PRESSED
-    """Somebody pressed the board's off button."""
-    GOING_OFF = GOING_OFF
-    """Somebody has asked the board to switch the whole robot off, which it does 1 s later."""
-
-
-Answer = Supplied | BoardValues | BoardError | BoardNotice
-_LAYOUTS: Final = {
-    **{question.id: struct.Struct(">3H") for question in ASK_CURRENTS},
-    MANIPULATOR_5V_3V3_MA: struct.Struct(">3H"),
-    STANDBY_SUPPLY_MA: struct.Struct(">2H"),
-    CONVERTERS_1_TO_3_MV: struct.Struct(">3H"),
-    CONVERTERS_4_5_MV: struct.Struct(">2H"),
-    SUPPLY_BATTERY_MV: struct.Struct(">2H"),
-    TEMPERATURES_C: struct.Struct(">3h"),
-}
+Answer = int | BoardValues | BoardError | CanFrame
+"""An int is the mask of fed outputs. A CanFrame is an answer without data: ERROR (none is left), CLEARED (the error
+shown last), OFF_PRESSED, or GOING_OFF (in 1 s the whole robot is switched off)."""
 _ERROR_BYTES: Final = {CONVERTER_OVERCURRENT: 2, SERVO_OVERCURRENT: 4, OVERTEMPERATURE: 2, SUPPLY_LOW: 1}
 _CONVERTERS: Final = (1 << 5) - 1
 _OUTPUTS_OF_CONVERTER: Final = (0b111111, 0b111111 << 6, 0b111111 << 12, 0, 0)
@@ -139,21 +117,18 @@ def read(frame: CanFrame) -> Answer | None:
     identifier, data = frame
     match identifier:
         case 0x6B:
-            mask = mask_of(frame)
-            return None if mask is None else Supplied(mask)
+            return mask_of(frame)
         case 0x65:
-            return _error(data)
+            return _error(data) if data else frame
         case 0x97 | 0x69 | 0x67:
-            return None if data else BoardNotice(identifier)
+            return None if data else frame
     layout = _LAYOUTS.get(identifier - 1)
     if layout is None or len(data) != layout.size:
         return None
     return BoardValues(identifier - 1, layout.unpack(data))
 
 
-def _error(data: bytes) -> BoardError | BoardNotice:  # mutants accepted (Step): no error has a sixth bit
-    if not data:
-        return BoardNotice.NO_ERROR
+def _error(data: bytes) -> BoardError:  # mutants accepted (Step): no error has a sixth bit
     code, mask = data[0], int.from_bytes(data[1:], "big")
     most = ALL if code == SERVO_OVERCURRENT else _CONVERTERS
     if len(data) != _ERROR_BYTES.get(code) or mask > most:

@@ -84,7 +84,6 @@ JUDGES: Final = {
     "gateway/robot/core/latch.py": _robot("latch supervisor_stops power_rule"),
     "gateway/model/power_board.py": (*_model("power_board_bytes"), *_robot("simulated_board")),
     "gateway/robot/power/board.py": _POWER,
-    "gateway/robot/power/errors.py": _robot("power_parts"),
     "gateway/robot/power/questions.py": (*_robot("power_parts"), *_POWER),
     "gateway/robot/power/last_cut.py": _robot("last_cut"),
     "gateway/robot/runtime/supply.py": _robot("power_parts power_conductor conductor supply"),

@@ -89,7 +89,7 @@ _KNOWN: Final = (
     (_ROBOT.legs, "_speeds rest sends"),
     (_ROBOT.legs.rest, "_rules _settled_ns _runs_left runs due_ns"),
     (_ROBOT.legs, "due_ns repeat_ns at_rest"),  # these follow from the others: `take` sees to that
-    (_ROBOT.legs, "stopping _silent _first_stops _fed"),  # these count within a step
+    (_ROBOT.legs, "stopping _silent _first_stops fed"),  # these count within a step
     (Leg, "number servos slots commanded_ns expired source landed_ns unfed_ns eases"),
     (Servo, "servo_id angle_cdeg waiting waiting_for begun announced_cdeg since_ns passing_cdeg"),
     (Servo, "repeats_left repeat_ns stopped_ns stopped_by source eases stopped"),
@@ -273,7 +273,7 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
         _lease_key(supervisor.lease, now_ns),
         _buttons_key(supervisor.buttons, now_ns),
         _body_key(supervisor, now_ns),
-        (power.alive, power.closed, tuple(power._refused), legs._fed),
+        (power.alive, power.closed, tuple(power._refused), legs.fed),
         _backlog_key(supervisor, now_ns),
         _calibrating_key(supervisor),
         legs.landing and (*landing_key(legs.landing, now_ns), legs.land_ns - now_ns),

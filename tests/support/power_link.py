@@ -163,7 +163,8 @@ class Link:
                 self.sent.append((self.now_ns, frame))
                 if self.cable:
                     heappush(self._flying, (self.now_ns + self._flight_ns, next(self._order), True, frame))
-        self.told += [(self.now_ns, item) for item in self.ours.news()]
+        self.told += [(self.now_ns, item) for item in self.ours.news]
+        self.ours.news.clear()
 
     def _taken(self, frame: CanFrame) -> None:
         for board in self._boards:

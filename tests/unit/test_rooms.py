@@ -38,7 +38,7 @@ SHARED: Final = frozenset(room for row in ROOMS[:5] for room in row)
 KNOW_BOTH: Final = frozenset({"onboard", "cli", "__main__"})
 PURE: Final = ("model", "robot.core", "robot.protocol", "people.walking")
 PURE_FILES: Final = frozenset(
-    f"robot/power/{name}.py" for name in ("board", "currents", "questions")
+    f"robot/power/{name}.py" for name in ("board", "questions")
 ) | frozenset(f"simulation/{name}.py" for name in ("adapter", "board", "draw")) | frozenset(
     f"people/ros2/{name}.py"
     for name in (

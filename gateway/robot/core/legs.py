@@ -55,8 +55,8 @@ class Legs:
         self.rest = RestStops(rules)
         self._queue = StartQueue(rules.start_pause_ns)
         self.landing: Landing | None = None
-        self._fed: frozenset[int] | None = frozenset() if rules.power else None
-        """Servos that the power board powers; None: there is no board."""
+        self.fed: frozenset[int] | None = frozenset() if rules.power else None
+        """Servos that the power board has confirmed to power, as of its latest news; None: there is no board."""
         self.land_ns = 0
         """When the landing's next frames are due: one for each leg in a period, at any speed."""
         self.at_rest = True
@@ -78,8 +78,8 @@ class Legs:
         """Begin a step of this instant (ns)."""
         self.instant_ns = instant_ns
         """When the present instant began; see `Supervisor.step`."""
-        if self._fed:  # stopped servos have lost their power
-            self._fed = frozenset([each for each in self._fed if each in self.servos and self.servos[each].will_run])
+        if self.fed:  # stopped servos have lost their power
+            self.fed = frozenset([each for each in self.fed if each in self.servos and self.servos[each].will_run])
         self.stopping: set[int] = set()
         """The servos that get a Stop in this step."""
         self._first_stops: set[int] = set()
@@ -90,7 +90,7 @@ class Legs:
     def plan(self, now_ns: int) -> None:  # mutants accepted (Forget, Lt_LtE): equal times; each step sets it anew
         """End a step: compute what is due next, and whether anything runs."""
         due_ns = repeat_ns = NEVER
-        at_rest, rests, held = True, False, () if self._fed is None else self._held()
+        at_rest, rests, held = True, False, () if self.fed is None else self._held()
         for leg in self._all:
             waits = holds = runs = armed = False
             for servo in leg.servos:
@@ -139,10 +139,6 @@ class Legs:
             return leg.slots.next_ns
         return max(each.slots.next_ns for each in self if not each.servos[0].running)
 
-    def note_fed(self, fed: frozenset[int]) -> None:
-        """Record the servos that the power board has confirmed to power."""
-        self._fed = None if self._fed is None else fed
-
     def start_fed(self, now_ns: int) -> list[Effect]:
         """Return the starts that waited for power, within their legs' rate slots, and arm these legs' deadlines."""
         held = self._held()
@@ -153,10 +149,10 @@ class Legs:
 
     def _held(self) -> Collection[Servo]:
         """Return the servos whose starts wait for power. A command starts all its servos at once, or none."""
-        if self._fed is None:
+        if self.fed is None:
             return ()
         starting = [servo for servo in self.servos.values() if servo.starts]
-        unfed = {servo.waiting_for for servo in starting if servo.servo_id not in self._fed}
+        unfed = {servo.waiting_for for servo in starting if servo.servo_id not in self.fed}
         return {servo for servo in starting if servo.waiting_for in unfed}
 
     def to_feed(self) -> dict[int, int | None]:
@@ -332,7 +328,7 @@ class Legs:
 
     def _send(self, leg: Leg, now_ns: int, cause: Cause = Cause.COMMAND) -> list[Effect]:
         """Return the frame for this leg's waiting targets, if it may leave now. Stops alone need no rate slot."""
-        held = () if self._fed is None else self._held()
+        held = () if self.fed is None else self._held()
         waiting: list[tuple[Servo, ServoOp]] = []
         moves = starts = False
         for servo in leg.servos:

@@ -55,7 +55,7 @@ class PowerRule(Interlock[PowerSeen]):
         self.alive, self._refused = event.alive, dict(event.refused)
         self.closed = not event.alive or bool(event.refused)
         self.down = None if event.alive else Down(SILENT, None)
-        legs.note_fed(event.fed)
+        legs.fed = None if legs.fed is None else event.fed
         if not (legs.sends and event.alive):
             return []
         lost = {each // 10 for each in (*event.lost, *self._refused) if legs.servos[each].will_run}

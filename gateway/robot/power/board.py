@@ -12,25 +12,23 @@
   dropped their servos once and wants them again.
 """
 
-from collections import deque
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Final, Literal, NamedTuple
 
 from gateway.allowance import NS_PER_MS
 from gateway.model.power_board import (
     ASK_CURRENTS,
+    GOING_OFF,
+    OFF_PRESSED,
     SET_SUPPLY,
     BoardError,
-    BoardNotice,
     BoardValues,
     CanFrame,
-    Supplied,
     mask_of,
     read,
     set_supply,
 )
-from gateway.robot.power.errors import BoardErrors
-from gateway.robot.power.questions import BoardQuestions
+from gateway.robot.power.questions import BoardErrors, BoardQuestions
 
 REPEAT_NS: Final = 20 * NS_PER_MS
 """The period of masks until each off is confirmed."""
@@ -48,8 +46,8 @@ LASTS_NS: Final = 1000 * NS_PER_MS
 """A state that is reported once has ended after this long without its frames; the next frame reports it again."""
 
 _OFF: Final = {
-    BoardNotice.OFF_PRESSED: "somebody pressed the power board's off button",
-    BoardNotice.GOING_OFF: "somebody has asked the power board to switch the whole robot off, and it does so in 1 s",
+    OFF_PRESSED: "somebody pressed the power board's off button",
+    GOING_OFF: "somebody has asked the power board to switch the whole robot off, and it does so in 1 s",
 }
 _TWO: Final = "two power boards answer on this bus; unplug one of them, and reset"
 _AT_ONCE: Final = 6
@@ -124,7 +122,8 @@ class PowerBoard:
         """`outputs` are the servos on outputs 1, 2 …. An off that is not confirmed within `confirm_ns` is reported."""
         self._servos = tuple(outputs)
         self._confirm_ns = confirm_ns
-        self._news: deque[News | Confirmed] = deque()
+        self.news: list[News | Confirmed] = []
+        """The events since the owner last emptied it."""
         # The wanted state.
         self._cut = False
         self._changes = 0
@@ -191,7 +190,7 @@ class PowerBoard:
         self._anew(self._servos, now_ns)
 
     def when_off(self, servos: frozenset[int], asked_ns: int, then: Then, now_ns: int) -> None:
-        """Have `news` return a `Confirmed` with `then`, `confirm_ns` after `asked_ns` at the latest."""
+        """Have `news` get a `Confirmed` with `then`, `confirm_ns` after `asked_ns` at the latest."""
         self._anew(servos - self._kept - self._offs.keys(), now_ns)
         self._repeat_until_ns = now_ns + REPEAT_FOR_NS  # also of masks that were given up
         self._waits.append(_Wait(then, servos, asked_ns, self._cut_by(servos, self._number)))
@@ -206,7 +205,7 @@ class PowerBoard:
     def not_sent(self, frames: Iterable[CanFrame], now_ns: int) -> None:
         """Record that the interface had no room for these frames. Once it has, the latest mask leaves first."""
         for frame in frames:
-            self._questions.not_sent(frame)
+            self._questions.asked.pop(frame, None)
             if frame.id == SET_SUPPLY:
                 self._leave_ns = now_ns
 
@@ -248,12 +247,6 @@ class PowerBoard:
             dict(self._rails),
         )
 
-    def news(self) -> list[News | Confirmed]:
-        """Return the events since the last call."""
-        news = list(self._news)
-        self._news.clear()
-        return news
-
     # ---- received frames
 
     # mutants accepted (Forget): a mask is read as no answer; only time is lost
@@ -271,7 +264,7 @@ class PowerBoard:
             self._anew(tuple(self._offs), now_ns)
         self._questions.answered(now_ns)
         match answer:
-            case Supplied(mask):
+            case int(mask):
                 self._answered_mask(self._named(mask), now_ns)
             case BoardValues(identifier, values):
                 self._measured(CanFrame(identifier), values, now_ns)
@@ -279,13 +272,13 @@ class PowerBoard:
                 servos = self._named(outputs)
                 self._errors.shown(code, dict.fromkeys(servos, why), now_ns)
                 self._lose(servos, why, now_ns, "power_fault" if self._begins(answer, now_ns) else None)
-            case BoardNotice.NO_ERROR:
+            case CanFrame(0x65):
                 self._errors.none_left()
-            case BoardNotice.CLEARED:
+            case CanFrame(0x97):
                 self._errors.deleted(now_ns)
-            case BoardNotice.OFF_PRESSED | BoardNotice.GOING_OFF:
+            case CanFrame(identifier):
                 if self._begins(answer, now_ns):
-                    self._news.append(News("off_button", _OFF[answer]))
+                    self.news.append(News("off_button", _OFF[identifier]))
 
     def poll(self, now_ns: int) -> None:  # mutants accepted (GtE_Gt): equal times
         """Detect a silent board, an unconfirmed off, the end of a wait. Call it every 10 ms at least."""
@@ -295,10 +288,10 @@ class PowerBoard:
         if late and not self._unconfirmed and now_ns >= self._reports_ns:
             self._unconfirmed = True
             why = "the power board has not confirmed that these are off"
-            self._news.append(News("power_unconfirmed", why, late))
+            self.news.append(News("power_unconfirmed", why, late))
         for wait in [each for each in self._waits if now_ns - each.asked_ns >= self._confirm_ns]:
             self._waits.remove(wait)
-            self._news.append(Confirmed(wait.then, None))
+            self.news.append(Confirmed(wait.then, None))
 
     # ---- what is sent
 
@@ -373,8 +366,7 @@ class PowerBoard:
     def _next_on(self) -> frozenset[int]:
         waits = not self.alive or (self._offs and not self._unconfirmed)
         on = _NONE if waits else self._target - self._sent
-        parts = (on.intersection(self._servos[at : at + _AT_ONCE]) for at in range(0, len(self._servos), _AT_ONCE))
-        return next(filter(None, parts), _NONE)
+        return frozenset([servo for servo in self._servos if servo in on][:_AT_ONCE])
 
     def _send(self, now_ns: int) -> CanFrame:  # mutants accepted (Add_Sub, Step): any numbers that grow; slack
         """Return the mask to send now, and count it as sent."""
@@ -400,7 +392,7 @@ class PowerBoard:
         self._offs = {each: off for each, off in self._offs.items() if each in shown or off.number > reached}
         for wait in [each for each in self._waits if each.number <= reached and shown.isdisjoint(each.servos)]:
             self._waits.remove(wait)
-            self._news.append(Confirmed(wait.then, (now_ns - wait.asked_ns) / NS_PER_MS))
+            self.news.append(Confirmed(wait.then, (now_ns - wait.asked_ns) / NS_PER_MS))
         self._anew(on_again, now_ns)
         gone = {
             servo for servo, at_ns in self._fed.items() if servo not in shown and at_ns < self._questions.reached_ns
@@ -430,7 +422,7 @@ class PowerBoard:
         self._lost |= servos & self._wanted
         self._settle(now_ns)
         if report is not None:
-            self._news.append(News(report, why, servos))
+            self.news.append(News(report, why, servos))
 
     # mutants accepted (Forget, Step): else a repeat follows
     def _meddled(self, theirs: frozenset[int], now_ns: int) -> None:

@@ -217,7 +217,7 @@ class PowerLine:
                 self._board.receive(frame, now_ns)
             self._board.poll(now_ns)
             self.status = self._board.status
-            news = self._board.news()
+            news, self._board.news = self._board.news, []
             due = self._board.due_ns <= now_ns
         if due:
             self._awake()

@@ -6,14 +6,19 @@ another node asks the same, the first answer counts as that node's, since its qu
 
 Two answers to one question come from two boards, of which one may power servos while the other confirms. One second
 answer proves nothing: on slcan, `stop-servos` and the gateway read one terminal, and its questions are not seen here.
+
+The board keeps four kinds of errors. Each question shows one, the newest first; a deletion deletes the one shown last.
+Outputs that the error blocked then come on at once, if they are in the board's mask. So an error blocks its servos
+until the owner has it deleted, even if somebody deletes it at the board.
 """
 
 from collections import deque
+from collections.abc import Mapping
 from itertools import cycle
 from typing import Final
 
 from gateway.allowance import NS_PER_MS
-from gateway.model.power_board import ASK_CURRENTS, ASK_ERROR, ASK_RAILS, CanFrame
+from gateway.model.power_board import ASK_CURRENTS, ASK_ERROR, ASK_RAILS, CLEAR_ERROR, CanFrame
 
 ASK_NS: Final = 10 * NS_PER_MS
 SILENT_QUESTIONS: Final = 10
@@ -49,7 +54,7 @@ class BoardQuestions:
         self._round = cycle(_ROUND)
         self._rails = deque(ASK_RAILS)
         """In the order in which they are asked."""
-        self._asked: dict[CanFrame, tuple[int, int]] = {}
+        self.asked: dict[CanFrame, tuple[int, int]] = {}
         """Unanswered questions about rails: when each was asked, and the number of the newest mask then."""
         self._foreign: dict[CanFrame, tuple[int, int]] = {}
         """Other nodes' questions about rails: how many are unanswered, and when the newest was received."""
@@ -60,9 +65,6 @@ class BoardQuestions:
     def two_boards(self) -> bool:
         """Whether DOUBLES questions in a row were answered twice, since `doubles` was set to 0."""
         return self.doubles >= DOUBLES
-
-    def not_sent(self, question: CanFrame) -> None:
-        self._asked.pop(question, None)
 
     def next(self, newest: int, now_ns: int) -> list[CanFrame]:
         """Return the question in turn, and count it as sent. `newest` is the number of the newest mask."""
@@ -75,8 +77,8 @@ class BoardQuestions:
         """Return a question whose answer proves that mask number `newest` has reached the board, if one is free."""
         for question in tuple(self._rails) if self._unanswered <= LIKELY_SILENT else ():
             self._rails.rotate(-1)  # mutants accepted (Delete_USub): each is asked as often
-            if question not in self._asked or self._is_lost(self._asked[question][0], now_ns):
-                self._asked[question] = (now_ns, newest)
+            if question not in self.asked or self._is_lost(self.asked[question][0], now_ns):
+                self.asked[question] = (now_ns, newest)
                 return [question]
         return []
 
@@ -99,11 +101,11 @@ class BoardQuestions:
 
     # mutants accepted (Step): less than what has reached the board
     def answered_about_rails(self, question: CanFrame, now_ns: int) -> None:
-        others, ours = self._foreign_unanswered(question, now_ns), question in self._asked
+        others, ours = self._foreign_unanswered(question, now_ns), question in self.asked
         if others:
             self._foreign[question] = (others - 1, self._foreign[question][1])
         else:
-            asked_ns, newest = self._asked.pop(question, (0, 0))
+            asked_ns, newest = self.asked.pop(question, (0, 0))
             self.reached_ns = max(self.reached_ns, asked_ns)
             self.reached = max(self.reached, newest)
         if self.two_boards:
@@ -126,3 +128,67 @@ class BoardQuestions:
             self._unanswered += 1
         # mutants accepted (Step): a nanosecond
         return self._unanswered >= SILENT_QUESTIONS and now_ns - (self.answered_ns or 0) >= SILENT_NS
+
+
+# ---- errors
+
+CLEAR_NS: Final = 50 * NS_PER_MS
+CLEAR_TRIES: Final = 40
+"""Requests to show or delete errors: a board keeps four kinds, and one in five answers may be lost."""
+
+
+class BoardErrors:
+    def __init__(self) -> None:
+        self._blocked: dict[int, dict[int, str]] = {}
+        """For each code, the blocked servos, and why."""
+        self._shown = 0  # mutants accepted (Step): no error was shown
+        """The code of the error shown last, which a deletion would delete."""
+        self._tries = 0
+        self._due_ns = 0  # mutants accepted (Forget, Step): `delete` sets it
+        self._next = ASK_ERROR  # mutants accepted (Forget): `delete` sets it
+
+    @property
+    def blocked(self) -> dict[int, str]:
+        """The blocked servos, each with the reason."""
+        return {servo: why for servos in self._blocked.values() for servo, why in servos.items()}
+
+    @property
+    def due_ns(self) -> int | None:
+        """When to call `next_frames` next, or None if no errors are being deleted."""
+        return self._due_ns if self._tries else None
+
+    def delete(self, now_ns: int) -> None:
+        """Delete errors from now on, until the board has none left."""
+        self._tries = CLEAR_TRIES
+        self._due_ns = now_ns
+        self._next = ASK_ERROR
+
+    def next_frames(self, now_ns: int, *, without: bool) -> list[CanFrame]:
+        """Return the frame to send now, if any. `without`: the board's mask certainly has no blocked output."""
+        if not self._tries or now_ns < self._due_ns:
+            return []
+        self._tries -= 1
+        self._due_ns = now_ns + CLEAR_NS
+        frame, self._next = self._next, ASK_ERROR
+        return [frame] if without or frame is ASK_ERROR else []
+
+    def shown(self, code: int, blocked: Mapping[int, str], now_ns: int) -> None:
+        """Take an error of the board, which blocks these servos, each with the reason."""
+        self._blocked.setdefault(code, {}).update(blocked)
+        self._shown = code
+        if self._tries:
+            self._next = CLEAR_ERROR
+            self._due_ns = now_ns
+
+    def deleted(self, now_ns: int) -> None:
+        """Record that the error shown last is deleted. Others may be left."""
+        if self._tries:
+            self._blocked.pop(self._shown, None)
+            self._next = ASK_ERROR
+            self._due_ns = now_ns
+
+    def none_left(self) -> None:
+        """Record that the board has no errors."""
+        if self._tries:
+            self._blocked.clear()
+            self._tries = 0

@@ -130,7 +130,7 @@ def test_an_answer_to_another_nodes_question_confirms_nothing(board: PowerBoard)
     board.receive(answer_to(asked), 4)
     board.receive(CanFrame(0x6B, bytes(3)), 5)
     assert board.confirmed, "the second answer is ours"
-    assert board.news() == [Confirmed(then, 15 / NS_PER_MS)]
+    assert board.news == [Confirmed(then, 15 / NS_PER_MS)]
 
 
 def test_no_error_is_deleted_before_the_board_has_a_mask_without_what_it_blocks(board: PowerBoard) -> None:
@@ -193,5 +193,6 @@ def test_what_is_reported_once_has_ended_after_a_second_without_its_frames(
     reported = []
     for at_ms in (0, 999, 1998, 2998):
         board.receive(CanFrame(identifier), at_ms * NS_PER_MS)
-        reported += [(at_ms, words in news.detail) for news in board.news() if isinstance(news, News)]
+        reported += [(at_ms, words in news.detail) for news in board.news if isinstance(news, News)]
+        board.news.clear()
     assert reported == [(0, True), (2998, True)]

@@ -18,9 +18,8 @@ from gateway.model.power_board import (
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.power.board import Confirmed, Status, Then
-from gateway.robot.power.errors import BoardErrors
 from gateway.robot.power.line import PowerLine
-from gateway.robot.power.questions import BoardQuestions
+from gateway.robot.power.questions import BoardErrors, BoardQuestions
 from gateway.robot.runtime.supply import MOST_WAITING, CurrentRules, RobotSupply
 from gateway.robot.spi import Wire
 from schemas.telemetry import Kind
