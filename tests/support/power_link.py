@@ -6,7 +6,7 @@ from itertools import count
 
 from gateway.allowance import NS_PER_MS
 from gateway.model.power_board import SET_SUPPLY, CanFrame
-from gateway.robot.power.board import Confirmed, News, PowerBoard, Then
+from gateway.robot.power.board import Confirmed, News, PowerBoard
 from gateway.simulation.board import SimulatedBoard
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Kind
@@ -75,25 +75,25 @@ class Link:
 
     # ---- what the owner does
 
-    def want(self, servos: frozenset[int], number: int = 0) -> None:
-        self._do(lambda now_ns: self.ours.want(servos, number, now_ns))
+    def want(self, servos: frozenset[int]) -> None:
+        self.request(lambda board, now_ns: board.want(servos, 0, now_ns))
 
     def want_anew(self, servos: frozenset[int]) -> None:
         self.want(frozenset())
         self.want(servos)
 
     def cut(self) -> None:
-        self._do(self.ours.cut)
+        self.request(PowerBoard.cut)
 
     def clear_errors(self) -> None:
-        self._do(self.ours.clear_errors)
+        self.request(PowerBoard.clear_errors)
 
-    def when_off(self, servos: frozenset[int], asked_ns: int | None = None, then: Then = lambda _: None) -> None:
-        self._do(lambda now_ns: self.ours.when_off(servos, now_ns if asked_ns is None else asked_ns, then, now_ns))
+    def when_off(self, servos: frozenset[int]) -> None:
+        self.request(lambda board, now_ns: board.when_off(servos, now_ns, lambda _: None, now_ns))
 
-    def _do(self, act: Callable[[int], object]) -> None:
+    def request(self, act: Callable[[PowerBoard, int], object]) -> None:
         self.catch_up()
-        act(self.now_ns)
+        act(self.ours, self.now_ns)
         self.catch_up()
 
     def catch_up(self) -> None:
@@ -121,7 +121,7 @@ class Link:
 
     def hear_from_another(self, frame: CanFrame) -> None:
         """Another node on the bus sends this: boards and we receive it."""
-        self._do(lambda now_ns: self._from_another(frame, now_ns))
+        self.request(lambda _, now_ns: self._from_another(frame, now_ns))
 
     def _from_another(self, frame: CanFrame, now_ns: int) -> None:
         self._taken(frame)

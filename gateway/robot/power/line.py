@@ -5,7 +5,7 @@
 | sender   | opens, closes, sends                              | in python-can or the kernel |
 | receiver | receives, checks the time every 10 ms, reports    | no: `recv` has a limit      |
 
-Callers of `want`, `cut` and `when_off` wait for neither thread: the request is queued, and either thread takes it. So a
+Callers of `cut` and `request` wait for neither thread: the request is queued, and either thread takes it. So a
 sender that hangs delays no Stop on SPI, and a silent board is still reported.
 """
 
@@ -14,14 +14,13 @@ import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.host import realtime
 from gateway.host.settings_table import PowerSettings
 from gateway.model.power_board import CanFrame, set_supply
-from gateway.robot.power.board import Confirmed, News, PowerBoard, Status, Then
+from gateway.robot.power.board import Confirmed, News, PowerBoard, Status
 from gateway.robot.power.interface import LineError, open_bus, receive, send
 
 if TYPE_CHECKING:
@@ -33,10 +32,6 @@ RETRY_S: Final = 0.1
 """The pause between two attempts to open the interface."""
 SEND_S: Final = 0.1
 """How long a frame may wait to be sent, if python-can respects that. Later, the interface hangs or the bus is off."""
-BUSY_S: Final = 0.002
-"""Before the next attempt with a full transmit queue: ten frames, which leave within 1.3 ms at 1 Mbit/s."""
-STOPS_S: Final = 0.001
-"""Pause of the sender after a cut's mask, so that the Stops on SPI have the interpreter."""
 _NOTHING: Final = set_supply(0)
 _SHOWN: Final = slice(Status._fields.index("answered_ns"))
 """The fields of a status whose change is news."""
@@ -59,7 +54,7 @@ class PowerLine:
         """Called on the receiver's thread for news or a changed status. It must not wait."""
         self._failed = failed
         self._opener = opener
-        self._requests: deque[Callable[[int], None]] = deque()
+        self._requests: deque[Callable[[PowerBoard, int], None]] = deque()
         self._lock = threading.Lock()
         """Held while the board is used, not while frames are sent or received."""
         self._wake = threading.Lock()
@@ -90,24 +85,14 @@ class PowerLine:
         for thread in (self._sender, self._receiver):
             thread.join(max(0, end_ns - time.monotonic_ns()) / NS_PER_S)
 
-    # ---- requests of PowerBoard, carried out as soon as possible: they never wait
-
-    def want(self, servos: frozenset[int], number: int) -> None:
-        self._request(partial(self._board.want, servos, number))
-
     def cut(self) -> None:
-        """PowerBoard.cut, as soon as possible. The first mask leaves even before."""
+        """Request PowerBoard.cut. Its first mask leaves even before."""
         self._cuts = True
-        self._request(self._board.cut)
+        self.request(PowerBoard.cut)
 
-    def when_off(self, servos: frozenset[int], asked_ns: int, then: Then) -> None:
-        self._request(partial(self._board.when_off, servos, asked_ns, then))
-
-    def clear_errors(self) -> None:
-        self._request(self._board.clear_errors)
-
-    def _request(self, request: Callable[[int], None]) -> None:
-        self._requests.append(request)
+    def request(self, act: Callable[[PowerBoard, int], None]) -> None:
+        """Have one of the threads call `act` with the board and now (ns), in the order of requests. Never waits."""
+        self._requests.append(act)
         self._awake()
 
     def _awake(self) -> None:
@@ -125,7 +110,7 @@ class PowerLine:
     def _take_requests(self) -> None:
         """Carry out the queued requests, in their order. The caller holds the lock."""
         while self._requests:
-            self._requests.popleft()(time.monotonic_ns())
+            self._requests.popleft()(self._board, time.monotonic_ns())
 
     def _open(self) -> None:
         """Try to open the interface. Raises ConfigError if it never can."""
@@ -173,7 +158,7 @@ class PowerLine:
             if self._cuts:
                 self._cuts = False
                 send(bus, [_NOTHING], SEND_S)  # without room for it, the mask of `cut` follows
-                time.sleep(STOPS_S)
+                time.sleep(0.001)  # the Stops on SPI have the interpreter
             with self._lock:
                 self._take_requests()
                 frames = self._board.next_frames(time.monotonic_ns())
@@ -181,7 +166,7 @@ class PowerLine:
             if left:
                 with self._lock:
                     self._board.not_sent(left, time.monotonic_ns())
-                time.sleep(BUSY_S)
+                time.sleep(0.002)  # the queue's ten frames leave within 1.3 ms at 1 Mbit/s
         except LineError as error:
             self._lose(bus, error)
 

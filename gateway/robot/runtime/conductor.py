@@ -194,7 +194,7 @@ class Conductor:
     def check_outside(self) -> None:  # mutants accepted (Forget): a tick too many does nothing
         """Check for `stop-servos` on the same device, changed settings, and stopped servos that draw current."""
         if self.supply is not None and self.supply.judge_currents(self.clock()):
-            self.power_changed()
+            self._power_changed_soon(())
         silent = self.bus.silent(self.clock())  # here, too: a transfer that hangs keeps the cycle from this check
         if silent is not None:
             self.bus_failed(silent)
@@ -226,23 +226,20 @@ class Conductor:
     def _power_changed_soon(self, news: Sequence[News | Confirmed]) -> None:
         """Let the loop wait for the state, since the board's receiving thread must not."""
         with suppress(RuntimeError):  # the loop is closed: the service has ended
-            self.loop.call_soon_threadsafe(self._power_changed_on_loop, news)
+            self.loop.call_soon_threadsafe(self.power_changed, news)
 
-    def _power_changed_on_loop(self, news: Sequence[News | Confirmed]) -> None:
+    def power_changed(self, news: Sequence[News | Confirmed]) -> None:
+        """Take the changes that the power board has reported. The only call here that makes its caller the owner."""
         with self.owner:
-            self.power_changed(news)
-
-    def power_changed(self, news: Sequence[News | Confirmed] = ()) -> None:
-        """Take the changes that the power board has reported."""
-        if self.closed or self.supply is None:
-            return
-        event, announcements = self.supply.take_news(news)
-        self._step(event)
-        for each in announcements:
-            self.reports.announce(each)
-        if any(each.kind is Kind.OFF_BUTTON for each in announcements):
-            self._emergency_stop(off_button(self.clock()), self.clock())
-        self.reports.publish()
+            if self.closed or self.supply is None:
+                return
+            event, announcements = self.supply.take_news(news)
+            self._step(event)
+            for each in announcements:
+                self.reports.announce(each)
+            if any(each.kind is Kind.OFF_BUTTON for each in announcements):
+                self._emergency_stop(off_button(self.clock()), self.clock())
+            self.reports.publish()
 
     def _do_what_is_due(self, instant_ns: int) -> None:
         if self._is_due(self.supervisor.due_ns):

@@ -123,10 +123,9 @@ async def stop_the_robot(conductor: Conductor) -> None:
     if supply is not None:
         answered: asyncio.Future[float | None] = conductor.loop.create_future()
         with conductor.owner:
-            supply.confirm(SERVO_IDS, asked_ns, lambda ms: None if answered.done() else answered.set_result(ms))
-        ms = None
-        with suppress(TimeoutError):
-            ms = await asyncio.wait_for(answered, REPEATS_S)
+            supply.confirm(SERVO_IDS, asked_ns, answered.set_result)
+        await asyncio.wait([answered], timeout=REPEATS_S)  # does not cancel it, unlike `wait_for`
+        ms = answered.result() if answered.done() else None
         confirmed = "not confirmed" if ms is None else f"confirmed after {ms:.0f} ms"
         said = f"the power board has {confirmed} that their supply is off"
         logger.log(logging.WARNING if ms is None else logging.INFO, said)

@@ -21,7 +21,7 @@ from gateway.model.frames import legs_of
 from gateway.robot.core.events import Announce, PowerSeen
 from gateway.robot.core.message import Received, Verb
 from gateway.robot.core.supervisor import Supervisor
-from gateway.robot.power.board import Confirmed, News, Then
+from gateway.robot.power.board import Confirmed, News, PowerBoard, Then
 from gateway.robot.power.line import PowerLine
 from gateway.robot.spi import Wire
 from gateway.robot.spi.cyclic import CyclicBus
@@ -159,16 +159,16 @@ class RobotSupply:
         self._ask(wanted)
 
     def _ask(self, servos: frozenset[int]) -> None:
-        self._changes += servos != self._asked
+        changes = self._changes = self._changes + (servos != self._asked)
         self._asked = servos
-        self.line.want(servos, self._changes)
+        self.line.request(lambda board, now_ns: board.want(servos, changes, now_ns))
 
     def reset(self) -> None:
         """Allow blocked and cut servos to be powered again, after an accepted reset."""
         self._withheld.clear()
         self._currents = CurrentRules()
         self._changed = True
-        self.line.clear_errors()
+        self.line.request(PowerBoard.clear_errors)
 
     # ---- news of the board
 
@@ -242,7 +242,7 @@ class RobotSupply:
             then(None)
             return
         self._waiting.add(then)
-        self.line.when_off(frozenset(servos), asked_ns, then)
+        self.line.request(lambda board, now_ns: board.when_off(frozenset(servos), asked_ns, then, now_ns))
 
     def close(self) -> None:
         """End all waiting: nothing is confirmed."""

@@ -49,7 +49,7 @@ async def test_what_comes_after_the_end_changes_nothing() -> None:
     await asyncio.sleep(1)
     robot.conductor.close()
     robot.reports.clear()
-    robot.conductor.power_changed()
+    robot.conductor.power_changed([])
     robot.conductor.bus_failed(SpiError("timed out"))
     answers: list[bytes] = []
     robot.leases.read(b'{"do": "acquire", "source": "anna"}', 0, answers.append)()

@@ -173,7 +173,7 @@ async def test_a_bus_at_fault_takes_the_supply(whole: bool) -> None:
 async def test_a_step_whose_frames_fail_feeds_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     robot = await runs()
     asked: list[frozenset[int]] = []
-    monkeypatch.setattr(robot.line, "want", lambda servos, _changes: asked.append(servos))
+    monkeypatch.setattr(robot.line.ours, "want", lambda servos, *_: asked.append(servos))
     robot.controller.fail_where(lambda _: True)
     robot.put(keys.LEGS_COMMAND, {"legs": {"3": leg("set", 91, 91, 91), "4": START}})
     assert frozenset[int]().union(*asked) == LEG_3_SERVOS

@@ -62,14 +62,14 @@ class Owner:
     def feed_all(self) -> None:
         """Also where the adapter's thread gets no processor for so long that the board seems silent."""
         while self.line.status.supplied != ALL_SERVOS:
-            self.line.want(frozenset(), 0)
-            self.line.want(ALL_SERVOS, 0)
+            self.line.request(lambda board, now_ns: board.want(frozenset(), 0, now_ns))
+            self.line.request(lambda board, now_ns: board.want(ALL_SERVOS, 0, now_ns))
             known = len(self.news)
             self.until(lambda: self.line.status.supplied == ALL_SERVOS or len(self.news) > known)  # noqa: B023
 
     def cut_and_confirm(self) -> Confirmed:
         self.line.cut()
-        self.line.when_off(ALL_SERVOS, time.monotonic_ns(), lambda _: None)
+        self.line.request(lambda board, now_ns: board.when_off(ALL_SERVOS, now_ns, lambda _: None, now_ns))
         self.until(lambda: any(isinstance(item, Confirmed) for item in self.news))
         return next(item for item in self.news if isinstance(item, Confirmed))
 
@@ -129,7 +129,7 @@ def test_a_sender_that_hangs_delays_no_caller_and_no_report(bus: BoardBus) -> No
     owner.until_reported(Kind.POWER_UNCONFIRMED)
     assert not owner.line.status.alive
     for _ in range(1000):
-        owner.line.want(ALL_SERVOS, 0)
+        owner.line.request(lambda board, now_ns: board.want(ALL_SERVOS, 0, now_ns))
         owner.line.cut()
     assert owner.cut_and_confirm().ms is None
     polled_ns = owner.line.polled_ns

@@ -264,14 +264,15 @@ def test_a_servo_that_draws_nothing_is_silent_after_a_second() -> None:
 
 
 def test_some_wait_for_the_board_and_further_ones_learn_at_once_that_nothing_is_confirmed() -> None:
-    asked: list[tuple[frozenset[int], int, Then]] = []
-    line = SimpleNamespace(when_off=lambda *it: asked.append(it), want=lambda *_: None, status=Status())
+    asked: list[tuple[frozenset[int], int, Then, int]] = []
+    board = SimpleNamespace(when_off=lambda *it: asked.append(it), want=lambda *_: None)
+    line = SimpleNamespace(request=lambda act: act(board, 0), status=Status())
     supply = RobotSupply(cast(PowerLine, line), Supervisor(Rules(power=True)), cast(Wire, None))
     answers: dict[int, float | None] = {}
     for number in range(MOST_WAITING + 1):
         supply.confirm((11, 12), number, partial(answers.__setitem__, number))
     assert answers == {MOST_WAITING: None}
-    assert [servos for servos, _, _ in asked] == [frozenset({11, 12})] * MOST_WAITING
+    assert [servos for servos, *_ in asked] == [frozenset({11, 12})] * MOST_WAITING
     supply.take_news([Confirmed(asked[7][2], 30.0), Confirmed(asked[8][2], None)])
     assert (answers[7], answers[8], len(answers)) == (30.0, None, 3)
     supply.close()
