@@ -80,7 +80,7 @@ def run(path: Path | None) -> bool:
     except Exception as error:  # no fault of the power board may prevent the Stops
         kept = f"the servos keep their supply ({error}): switch the power off by hand"
     try:
-        stop_servos(chosen, (lambda: None) if cut is None else cut.stops_written)
+        stop_servos(chosen, (lambda: None) if cut is None else cut.stops_written.set)
     finally:
         off = not kept if cut is None else cut.end()
         if kept:  # after the Stops: they must not wait for a reader of stderr

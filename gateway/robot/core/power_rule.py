@@ -1,8 +1,7 @@
 """Rejects starts and moves without power, and stops a servo that loses its power. Pure.
 
-With either wire, a servo is powered only while it runs or waits to be started (`Legs.to_feed`). Its start leaves once
-the board has confirmed its power. A servo without power is stopped on the wire, too: with power again, it would jump to
-its angle.
+A start leaves once the board has confirmed its servo's power. A servo without power is stopped on the wire, too: with
+power again, it would jump to its angle. While the board is silent, no servo is lost: a landing robot may have power.
 """
 
 from collections.abc import Collection, Mapping
@@ -15,8 +14,6 @@ from gateway.robot.core.legs import Legs
 from schemas.telemetry import Cause, Reason
 
 SILENT: Final = "the power board does not answer"
-LOST: Final = "the power board does not feed it any more"
-UNFED: Final = "the power board has not confirmed that it is fed"
 
 
 class PowerRule(Interlock[PowerSeen]):
@@ -44,7 +41,7 @@ class PowerRule(Interlock[PowerSeen]):
             return []
         since_ns = now_ns - self._rules.feed_ns
         unfed = [leg.number for leg in self._legs if leg.unfed_ns is not None and leg.unfed_ns <= since_ns]
-        return self._stop(unfed, UNFED, now_ns)
+        return self._stop(unfed, "the power board has not confirmed that it is fed", now_ns)
 
     def halts(self, event: PowerSeen) -> Halt | None:
         return Halt(Cause.WATCHDOG, Reason.NO_POWER, event.doubt) if event.doubt else None
@@ -59,7 +56,7 @@ class PowerRule(Interlock[PowerSeen]):
         if not (legs.sends and event.alive):
             return []
         lost = {each // 10 for each in (*event.lost, *self._refused) if legs.servos[each].will_run}
-        return [*self._stop(lost, LOST, now_ns), *legs.start_fed(now_ns)]
+        return [*self._stop(lost, "the power board does not feed it any more", now_ns), *legs.start_fed(now_ns)]
 
     def _stop(self, unfed: Collection[int], detail: str, now_ns: int) -> list[Effect]:
         """Stop these legs, or all six if the robot only stops as a whole."""

@@ -24,6 +24,7 @@ START_S: Final = 0.02  # mutants accepted (Step): none is the only right one
 """How long to wait for the first Stops on SPI: the imports here must not delay them, but they may hang."""
 END_S: Final = 1.0  # mutants accepted (Step): none is the only right one
 """Further time after TRY_NS for calls that hang in python-can."""
+NOT_CONFIRMED: Final = "the servos' supply is NOT confirmed to be off ({}): switch the power off by hand"
 _RETRY_S: Final = 0.1
 _POLL_S: Final = 0.005
 _SEND_S: Final = 0.1  # mutants accepted (Step): none is the only right one
@@ -43,28 +44,25 @@ class SupplyCut:
         self._say = say
         self._opener = opener
         self._begun_ns = time.monotonic_ns()
-        self._stops_written = threading.Event()
+        self.stops_written = threading.Event()
+        """Set once the first Stops were tried: the thread begins."""
         self._tried = threading.Event()
         """Set after the first attempt to open the interface."""
         self.confirmed = False
         self._thread = threading.Thread(target=self._run, name="supply cut", daemon=True)
         self._thread.start()
 
-    def stops_written(self) -> None:
-        """Let the thread begin: the first Stops were tried."""
-        self._stops_written.set()
-
     def end(self) -> bool:
         """Wait until the thread has ended, but not if it hangs. Return whether the board has confirmed."""
-        self._stops_written.set()
+        self.stops_written.set()
         self._tried.wait(LOAD_S)
         self._thread.join((TRY_NS / NS_PER_S) + END_S)
         if self._thread.is_alive():
-            self._say(not_confirmed("python-can hangs"), False)
+            self._say(NOT_CONFIRMED.format("python-can hangs"), False)
         return self.confirmed
 
     def _run(self) -> None:
-        self._stops_written.wait(START_S)
+        self.stops_written.wait(START_S)
         why, end_ns = "the power board does not answer", 0
         # mutants accepted (Lt_LtE): equal times
         while not self.confirmed and (not end_ns or time.monotonic_ns() < end_ns):
@@ -79,15 +77,10 @@ class SupplyCut:
                 why = str(error)
                 time.sleep(_RETRY_S)
         if not self.confirmed:
-            self._say(not_confirmed(why), False)
+            self._say(NOT_CONFIRMED.format(why), False)
             return
         took_ms = (time.monotonic_ns() - self._begun_ns) / NS_PER_MS
         self._say(f"the power board has confirmed: all servos without supply, after {took_ms:.0f} ms", True)
-
-
-def not_confirmed(why: str) -> str:
-    """Return the sentence for a person that the power may be on."""
-    return f"the servos' supply is NOT confirmed to be off ({why}): switch the power off by hand"
 
 
 def _cut(bus: "can.BusABC", settings: PowerSettings, end_ns: int) -> bool:  # mutants accepted (Lt_LtE): equal times

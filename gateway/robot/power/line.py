@@ -28,11 +28,8 @@ if TYPE_CHECKING:
 
 POLL_S: Final = 0.01
 """How long the receiver waits for a frame, and so its latest check of the time."""
-RETRY_S: Final = 0.1
-"""The pause between two attempts to open the interface."""
 SEND_S: Final = 0.1
 """How long a frame may wait to be sent, if python-can respects that. Later, the interface hangs or the bus is off."""
-_NOTHING: Final = set_supply(0)
 _SHOWN: Final = slice(Status._fields.index("answered_ns"))
 """The fields of a status whose change is news."""
 
@@ -138,9 +135,9 @@ class PowerLine:
             if bus is None:
                 if closing:
                     return
-                # Once in RETRY_S at most: with the bus off, it opens but sends nothing.
+                # Ten times a second at most: with the bus off, it opens but sends nothing.
                 time.sleep(max(0, self._retry_ns - time.monotonic_ns()) / NS_PER_S)
-                self._retry_ns = time.monotonic_ns() + round(RETRY_S * NS_PER_S)
+                self._retry_ns = time.monotonic_ns() + 100 * NS_PER_MS
                 self._open()
                 continue
             self._send_due(bus)
@@ -157,7 +154,7 @@ class PowerLine:
         try:
             if self._cuts:
                 self._cuts = False
-                send(bus, [_NOTHING], SEND_S)  # without room for it, the mask of `cut` follows
+                send(bus, [set_supply(0)], SEND_S)  # without room for it, the mask of `cut` follows
                 time.sleep(0.001)  # the Stops on SPI have the interpreter
             with self._lock:
                 self._take_requests()

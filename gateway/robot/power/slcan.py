@@ -17,12 +17,8 @@ from can.interfaces.slcan import slcanBus
 
 _FRAME: Final = re.compile(rb"t(0[6-9][0-9A-Fa-f])([0-8])((?:[0-9A-Fa-f]{2})*)\r")
 """A classic data frame of the board (identifiers 060 to 09F): identifier, length, data, maybe a time stamp."""
-_LONGEST: Final = 64
-"""Bytes of an incomplete line that are kept; a frame has 27 at most."""
 COMMAND_S: Final = 0.1
 """How long the adapter may take to read a command that opens or closes its channel."""
-_MOST: Final = 65_536
-"""Bytes that a call reads."""
 
 
 class Slcan(slcanBus):
@@ -68,7 +64,7 @@ class Slcan(slcanBus):
 
     def _read_all(self, polled: int) -> None:
         try:
-            data = os.read(self._fd, _MOST)
+            data = os.read(self._fd, 65_536)
         except BlockingIOError:
             return
         except OSError as error:
@@ -82,4 +78,4 @@ class Slcan(slcanBus):
             end = found.end()
             data = bytes.fromhex(found[3].decode())[: int(found[2])]
             self._frames.append(Message(arbitration_id=int(found[1], 16), is_extended_id=False, data=data))
-        self._left = self._left[end:][-_LONGEST:]
+        self._left = self._left[end:][-64:]  # an incomplete line; a frame has 27 bytes at most

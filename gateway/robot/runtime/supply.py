@@ -40,8 +40,6 @@ _DREW: Final = "it drew current after its Stop; a reset feeds it again"
 _DEAF: Final = "servo {} drew current before it was started: the controller does not obey; a reset lets it try again"
 _TAKEN: Final = "another program has switched it off; a reset feeds it again"
 _NONE: Final = frozenset[int]()
-
-
 MOST_WAITING: Final = 256
 """Answers that wait for the board: each keeps a Zenoh query and up to 64 KiB of its receive buffer, 16 MiB together.
 With a silent board, a flood of acknowledged emergency stops would fill the memory."""
@@ -56,8 +54,6 @@ SETTLE_NS: Final = 300 * NS_PER_MS
 NOTHING_MA: Final = 5
 """Below the 8 mA of a powered servo's electronics."""
 SILENT_NS: Final = 1 * NS_PER_S
-
-
 _SENTENCES: Final = {
     Kind.SERVO_SILENT: "servo {} runs and has drawn nothing for 1 s: it is unplugged, or broken",
     Kind.SERVO_DRAWS: f"servo {{}} is stopped and draws {{:.0f}} mA, more than {IDLE_MA} mA",
@@ -67,7 +63,7 @@ _Finding = tuple[int, Kind, str]
 
 
 @dataclass(slots=True)
-class _Judged:
+class Judged:
     runs: bool
     since_ns: int
     """When it began to run, or to be stopped."""
@@ -76,32 +72,29 @@ class _Judged:
     reported: bool = False
 
 
-class CurrentRules:
-    """Compares the servos' currents with their state. Each finding is reported once for each start and Stop.
+def findings(
+    judged: dict[int, Judged], currents_ma: Mapping[int, float], running: frozenset[int], now_ns: int
+) -> list[_Finding]:
+    """Compare new currents with the servos' state; `running` are those that run. Return what to report.
 
     A stopped servo that draws current has not received its Stop. A running one without current is unplugged or broken.
+    `judged` keeps what is known, and is changed: each finding is reported once for each start and Stop.
     """
-
-    def __init__(self) -> None:
-        self._servos: dict[int, _Judged] = {}
-
-    def measured(self, currents_ma: Mapping[int, float], running: frozenset[int], now_ns: int) -> list[_Finding]:
-        """Take new currents in mA. `running` are the servos that run. Return what to report."""
-        found: list[_Finding] = []
-        for servo_id, ma in currents_ma.items():
-            runs = servo_id in running
-            servo = self._servos.get(servo_id)
-            if servo is None or servo.runs is not runs:
-                servo = self._servos[servo_id] = _Judged(runs, now_ns)
-            if not (ma < NOTHING_MA if runs else ma > IDLE_MA and now_ns - servo.since_ns >= SETTLE_NS):
-                servo.wrong_ns = None
-            elif servo.wrong_ns is None:  # one measurement may be wrong
-                servo.wrong_ns = now_ns
-            elif not servo.reported and now_ns - servo.wrong_ns >= (SILENT_NS if runs else 0):
-                servo.reported = True
-                kind = Kind.SERVO_SILENT if runs else Kind.SERVO_DRAWS
-                found.append((servo_id, kind, _SENTENCES[kind].format(servo_id, ma)))
-        return found
+    found: list[_Finding] = []
+    for servo_id, ma in currents_ma.items():
+        runs = servo_id in running
+        servo = judged.get(servo_id)
+        if servo is None or servo.runs is not runs:
+            servo = judged[servo_id] = Judged(runs, now_ns)
+        if not (ma < NOTHING_MA if runs else ma > IDLE_MA and now_ns - servo.since_ns >= SETTLE_NS):
+            servo.wrong_ns = None
+        elif servo.wrong_ns is None:  # one measurement may be wrong
+            servo.wrong_ns = now_ns
+        elif not servo.reported and now_ns - servo.wrong_ns >= (SILENT_NS if runs else 0):
+            servo.reported = True
+            kind = Kind.SERVO_SILENT if runs else Kind.SERVO_DRAWS
+            found.append((servo_id, kind, _SENTENCES[kind].format(servo_id, ma)))
+    return found
 
 
 # ---- the supply
@@ -125,7 +118,7 @@ class RobotSupply:
         """Whether a powered servo was seen at rest since the last fault, or supply starts servos."""
         self._withheld: dict[int, str] = {}
         """Servos not powered before a reset, and why. The board blocks others (`Status.refused`)."""
-        self._currents = CurrentRules()
+        self._judged: dict[int, Judged] = {}
         self._found: list[_Finding] = []
         self._changed = False
         """Whether a reset or a servo's current has changed something; the board reports neither."""
@@ -166,7 +159,7 @@ class RobotSupply:
     def reset(self) -> None:
         """Allow blocked and cut servos to be powered again, after an accepted reset."""
         self._withheld.clear()
-        self._currents = CurrentRules()
+        self._judged.clear()
         self._changed = True
         self.line.request(PowerBoard.clear_errors)
 
@@ -193,7 +186,7 @@ class RobotSupply:
             fed_run = run if self._ready is None else run | self._asked  # supply starts a servo
             unfed = fed_run - status.supplied  # their power is on its way: they may draw current or not
             drawn = {each: ma for each, ma in status.currents_ma.items() if each not in unfed}
-            self._found += self._currents.measured(drawn, fed_run, now_ns)
+            self._found += findings(self._judged, drawn, fed_run, now_ns)
             if not self._trusted and any(drawn.get(each, IDLE_MA + 1) <= IDLE_MA for each in self._fed - run):
                 self._trusted = self._changed = True
         return self._changed or bool(self._found)
@@ -222,13 +215,11 @@ class RobotSupply:
         if self._cut and status.supplied & self._asked:
             self._cut = False
             announcements.append(Announce(Kind.POWER_RESTORED, "the power board feeds servos again"))
-        # A silent board loses no servo: a landing robot may still have its power.
-        lost = status.lost if status.alive else _NONE
-        if self._supervisor.power.alive:  # another program took it, such as `stop-servos`
-            self._withheld |= dict.fromkeys(lost - status.refused.keys(), _TAKEN)
+        if status.alive and self._supervisor.power.alive:  # another program took it, such as `stop-servos`
+            self._withheld |= dict.fromkeys(status.lost - status.refused.keys(), _TAKEN)
         refused = self._withheld | {servo: f"{why}; a reset feeds it again" for servo, why in status.refused.items()}
         fed = self._fed if self._trusted else _NONE
-        return PowerSeen(status.alive, tuple(sorted(refused.items())), fed, lost, doubt), announcements
+        return PowerSeen(status.alive, tuple(sorted(refused.items())), fed, status.lost, doubt), announcements
 
     # ---- answers that wait until the board confirms that servos are off
 

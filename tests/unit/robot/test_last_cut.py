@@ -27,7 +27,7 @@ def told(bus: BoardBus, *, stops_written: bool = True) -> tuple[bool, list[tuple
     said: list[tuple[str, bool]] = []
     cut = SupplyCut(SETTINGS, lambda sentence, confirmed: said.append((sentence, confirmed)), bus.opened)
     if stops_written:
-        cut.stops_written()
+        cut.stops_written.set()
     else:
         assert bus.first_sent.wait(10), "nothing was sent while the Stops on SPI hang"
     return cut.end(), said
@@ -65,7 +65,7 @@ def test_why_it_is_not_confirmed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(last_cut, "TRY_NS", NS_PER_MS)
     bus = BoardBus()
     bus.failures = [LineError("can0 is gone")] * 100  # it is opened again as long as there is time
-    assert told(bus) == (False, [(last_cut.not_confirmed("can0 is gone"), False)])
+    assert told(bus) == (False, [(last_cut.NOT_CONFIRMED.format("can0 is gone"), False)])
 
 
 def test_on_a_computer_that_loads_python_can_for_long_the_mask_is_sent_all_the_same(
@@ -123,7 +123,7 @@ def test_it_begins_behind_the_first_stops_or_at_the_end(monkeypatch: pytest.Monk
     bus = BoardBus()
     cut = SupplyCut(SETTINGS, lambda *_: None, bus.opened)
     assert not bus.first_sent.wait(0.05)
-    cut.stops_written()
+    cut.stops_written.set()
     assert bus.first_sent.wait(10)
     assert cut.end()
     assert SupplyCut(SETTINGS, lambda *_: None, BoardBus().opened).end(), "to wait for its end has it begin"

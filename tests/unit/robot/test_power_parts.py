@@ -20,7 +20,7 @@ from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.power.board import Confirmed, Status, Then
 from gateway.robot.power.line import PowerLine
 from gateway.robot.power.questions import BoardErrors, BoardQuestions
-from gateway.robot.runtime.supply import MOST_WAITING, CurrentRules, RobotSupply
+from gateway.robot.runtime.supply import MOST_WAITING, Judged, RobotSupply, findings
 from gateway.robot.spi import Wire
 from schemas.telemetry import Kind
 
@@ -210,14 +210,14 @@ class Robot:
     """Servo 11 (and what else is given), measured every 65 ms, as the board's questions go round."""
 
     def __init__(self) -> None:
-        self.rules = CurrentRules()
+        self.judged: dict[int, Judged] = {}
         self.now_ns = 0
 
     def measure(self, ma: float, *, ms: float, runs: bool) -> list[tuple[int, Kind, str]]:
         found: list[tuple[int, Kind, str]] = []
         end_ns = self.now_ns + round(ms * NS_PER_MS)
         while self.now_ns < end_ns:
-            found += self.rules.measured({11: ma, 12: 100.0}, frozenset({11, 12} if runs else ()), self.now_ns)
+            found += findings(self.judged, {11: ma, 12: 100.0}, frozenset({11, 12} if runs else ()), self.now_ns)
             self.now_ns += 65 * NS_PER_MS
         return found
 
@@ -246,17 +246,17 @@ def test_a_pause_of_its_silence_begins_the_second_anew() -> None:
 
 
 def test_the_second_measurement_behind_the_time_to_settle_takes_the_supply() -> None:
-    rules = CurrentRules()
+    judged: dict[int, Judged] = {}
     end_ns = 300 * NS_PER_MS
-    early = [rules.measured({11: 151.0}, frozenset(), at_ns) for at_ns in range(0, end_ns, 10 * NS_PER_MS)]
+    early = [findings(judged, {11: 151.0}, frozenset(), at_ns) for at_ns in range(0, end_ns, 10 * NS_PER_MS)]
     assert not any(early)
-    assert rules.measured({11: 151.0}, frozenset(), end_ns) == []
-    assert [kind for _, kind, _ in rules.measured({11: 151.0}, frozenset(), end_ns + 1)] == [Kind.SERVO_DRAWS]
+    assert findings(judged, {11: 151.0}, frozenset(), end_ns) == []
+    assert [kind for _, kind, _ in findings(judged, {11: 151.0}, frozenset(), end_ns + 1)] == [Kind.SERVO_DRAWS]
 
 
 def test_a_servo_that_draws_nothing_is_silent_after_a_second() -> None:
-    rules, running = CurrentRules(), frozenset({11})
-    found = [rules.measured({11: 0.0}, running, at_ms * NS_PER_MS) for at_ms in (7, 8, 1006, 1007, 1008)]
+    judged: dict[int, Judged] = {}
+    found = [findings(judged, {11: 0.0}, frozenset({11}), at_ms * NS_PER_MS) for at_ms in (7, 8, 1006, 1007, 1008)]
     assert [len(news) for news in found] == [0, 0, 0, 1, 0]
 
 
