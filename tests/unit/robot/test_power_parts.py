@@ -206,58 +206,29 @@ def test_none_is_deleted_while_the_board_may_feed_what_it_blocks(errors: BoardEr
 # ---- What currents say about Stops
 
 
-class Robot:
-    """Servo 11 (and what else is given), measured every 65 ms, as the board's questions go round."""
-
-    def __init__(self) -> None:
-        self.judged: dict[int, Judged] = {}
-        self.now_ns = 0
-
-    def measure(self, ma: float, *, ms: float, runs: bool) -> list[tuple[int, Kind, str]]:
-        found: list[tuple[int, Kind, str]] = []
-        end_ns = self.now_ns + round(ms * NS_PER_MS)
-        while self.now_ns < end_ns:
-            found += findings(self.judged, {11: ma, 12: 100.0}, frozenset({11, 12} if runs else ()), self.now_ns)
-            self.now_ns += 65 * NS_PER_MS
-        return found
+CURRENTS: Final[dict[str, tuple[str, list[str]]]] = {
+    # ms, the current of servo 11 in mA, and `!` while it runs; and at which of them it is reported
+    "the second measurement 300 ms behind a Stop": ("0 151; 299 151; 300 151; 301 151; 302 151", ["301"]),
+    "at rest it draws 150 mA at most": ("0 150; 400 150; 500 150", []),
+    "a pause, and a single measurement": ("0 8; 400 900; 500 8; 600 900; 700 8", []),
+    "again behind the next Stop": ("0 900; 400 900; 500 900; 600 900!; 700 9; 1100 900; 1200 900", ["500", "1200"]),
+    "a second without any while it runs": ("7 4!; 8 0!; 1006 0!; 1007 0!; 1008 0!; 3000 0!", ["1007"]),
+    "its electronics draw 5 mA": ("0 5!; 1000 5!; 2000 5!", []),
+    "a pause begins the second anew": ("0 0!; 900 0!; 950 30!; 960 0!; 1900 0!; 1950 30!; 2000 900!", []),
+}
 
 
-def test_a_stopped_servo_that_still_draws_is_named_once_and_again_after_the_next_stop() -> None:
-    robot = Robot()
-    assert robot.measure(900, ms=2000, runs=True) == []
-    [found] = robot.measure(900, ms=3000, runs=False)
-    assert found == (11, Kind.SERVO_DRAWS, "servo 11 is stopped and draws 900 mA, more than 150 mA")
-    robot.measure(900, ms=200, runs=True)
-    assert len(robot.measure(900, ms=3000, runs=False)) == 1
-    assert robot.measure(150, ms=5000, runs=False) == []
-
-
-@pytest.mark.parametrize(("ma", "ms", "events"), [(0, 900, 0), (0, 3000, 1), (4, 3000, 1), (5, 3000, 0)])
-def test_a_servo_that_runs_and_draws_nothing_for_a_second_is_named_once(ma: float, ms: float, events: int) -> None:
-    found = Robot().measure(ma, ms=ms, runs=True)
-    assert [(servo_id, kind) for servo_id, kind, _ in found] == [(11, Kind.SERVO_SILENT)] * events
-
-
-def test_a_pause_of_its_silence_begins_the_second_anew() -> None:
-    robot = Robot()
-    for _ in range(5):
-        assert robot.measure(0, ms=900, runs=True) == []
-        assert robot.measure(30, ms=1, runs=True) == []
-
-
-def test_the_second_measurement_behind_the_time_to_settle_takes_the_supply() -> None:
+@pytest.mark.parametrize(("measured", "reported"), CURRENTS.values(), ids=CURRENTS)
+def test_what_a_servos_current_contradicts(measured: str, reported: list[str]) -> None:
     judged: dict[int, Judged] = {}
-    end_ns = 300 * NS_PER_MS
-    early = [findings(judged, {11: 151.0}, frozenset(), at_ns) for at_ns in range(0, end_ns, 10 * NS_PER_MS)]
-    assert not any(early)
-    assert findings(judged, {11: 151.0}, frozenset(), end_ns) == []
-    assert [kind for _, kind, _ in findings(judged, {11: 151.0}, frozenset(), end_ns + 1)] == [Kind.SERVO_DRAWS]
-
-
-def test_a_servo_that_draws_nothing_is_silent_after_a_second() -> None:
-    judged: dict[int, Judged] = {}
-    found = [findings(judged, {11: 0.0}, frozenset({11}), at_ms * NS_PER_MS) for at_ms in (7, 8, 1006, 1007, 1008)]
-    assert [len(news) for news in found] == [0, 0, 0, 1, 0]
+    found: list[str] = []
+    for each in measured.split("; "):
+        ms, ma = each.rstrip("!").split()
+        runs = frozenset({11, 12} if "!" in each else ())
+        for servo_id, kind, _ in findings(judged, {11: float(ma), 12: 100.0}, runs, int(ms) * NS_PER_MS):
+            assert (servo_id, kind) == (11, Kind.SERVO_SILENT if runs else Kind.SERVO_DRAWS)
+            found.append(ms)
+    assert found == reported
 
 
 # ---- Who waits for the power board
@@ -276,4 +247,4 @@ def test_some_wait_for_the_board_and_further_ones_learn_at_once_that_nothing_is_
     supply.take_news([Confirmed(asked[7][2], 30.0), Confirmed(asked[8][2], None)])
     assert (answers[7], answers[8], len(answers)) == (30.0, None, 3)
     supply.close()
-    assert len(answers) == MOST_WAITING + 1
+    assert (answers[7], len(answers)) == (30.0, MOST_WAITING + 1), "each learns it once"
