@@ -7,7 +7,6 @@ import time
 import tty
 from contextlib import suppress
 
-from gateway.model.power_board import CanFrame
 from gateway.simulation.board import SimulatedBoard
 from gateway.simulation.board_port import SimulatedAdapter
 
@@ -15,21 +14,16 @@ TICK_MS = 1
 
 
 class Adapter:
-    """Serves until `unplug`; with `path` a new one takes the place of another, as a cable that is plugged in again."""
+    """Serves until `unplug`."""
 
     def __init__(self, link: str) -> None:
         """`link`: the path that leads to the terminal."""
-        self.each_tick = b""
-        """Bytes for the program, each millisecond: a flood."""
         self.board = SimulatedBoard(time.monotonic_ns())
-        self.silent = False
-        """The board's cable is out."""
         self.received: list[bytes] = []
         """The program's lines."""
         self._ours, self._theirs = os.openpty()
         tty.setraw(self._theirs)
-        os.symlink(os.ttyname(self._theirs), link + ".new")
-        os.replace(link + ".new", link)
+        os.symlink(os.ttyname(self._theirs), link)
         self._ends = threading.Event()
         self._reads = threading.Event()
         self._reads.set()
@@ -49,10 +43,6 @@ class Adapter:
     def go_on(self) -> None:
         self._reads.set()
 
-    def say(self, data: bytes) -> None:
-        """Bytes for the program."""
-        self._write(data)
-
     def _serve(self) -> None:
         os.set_blocking(self._ours, False)
         adapter = SimulatedAdapter()
@@ -62,16 +52,12 @@ class Adapter:
                 data = os.read(self._ours, 65536)
                 self.received += data.split(b"\r")[:-1]
                 frames, answers = adapter.take(data)
-                self._write(answers)
+                self.say(answers)
                 for frame in frames:
-                    self._write_of(adapter, self.board.take(frame, time.monotonic_ns()) if not self.silent else [])
-            self._write_of(adapter, self.board.advance(time.monotonic_ns()))
-            self._write(self.each_tick)
+                    self.say(b"".join(map(adapter.text, self.board.take(frame, time.monotonic_ns()))))
+            self.say(b"".join(map(adapter.text, self.board.advance(time.monotonic_ns()))))
 
-    def _write_of(self, adapter: SimulatedAdapter, frames: list[CanFrame]) -> None:
-        if not self.silent:
-            self._write(b"".join(map(adapter.text, frames)))
-
-    def _write(self, data: bytes) -> None:
+    def say(self, data: bytes) -> None:
+        """Bytes for the program."""
         with suppress(BlockingIOError):  # as a USB adapter whose host does not read
             os.write(self._ours, data)
