@@ -13,16 +13,8 @@ from gateway.own_command import install
 if TYPE_CHECKING:
     import can
 
-FILTERS: Final = [
-    {"can_id": 0x60, "can_mask": 0x7E0, "extended": False},
-    {"can_id": 0x80, "can_mask": 0x7E0, "extended": False},
-]
-"""The board's identifiers, 60 to 9F."""
-
 BITRATE: Final = 1_000_000
 """Fixed by the board's firmware."""
-
-
 AT_ONCE: Final = 64
 PAUSE_S: Final = 0.001
 """Messages of any kind that a call receives at most, and the pause after that number: at a real-time priority, a flood
@@ -52,7 +44,7 @@ def open_bus(settings: PowerSettings) -> "can.BusABC":
             channel=int(channel) if channel.isdecimal() else channel,
             interface=settings.interface,
             bitrate=BITRATE,
-            can_filters=FILTERS,
+            can_filters=[{"can_id": each, "can_mask": 0x7E0, "extended": False} for each in (0x60, 0x80)],  # 60 to 9F
             ignore_config=True,
         )
     except NotImplementedError as error:

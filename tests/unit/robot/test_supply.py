@@ -1,7 +1,6 @@
 """The supply as the service makes it: its line is begun, and its news reach the owner of the state on the loop."""
 
 import asyncio
-import threading
 import time
 from pathlib import Path
 
@@ -47,6 +46,7 @@ async def test_the_first_mask_switches_all_off_and_news_come_on_the_loop_with_th
         conductor.supply.confirm(SERVO_IDS, time.monotonic_ns(), told.set_result)
     assert await asyncio.wait_for(told, 10) is not None, "within confirm_ms"
     await asyncio.to_thread(line.close, 10)
-    assert not {"power sender", "power receiver"} & {thread.name for thread in threading.enumerate()}
+    assert not line._sender.is_alive()
+    assert not line._receiver.is_alive()
     assert mistakes == []
     adapter.unplug()
