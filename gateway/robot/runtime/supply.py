@@ -111,6 +111,8 @@ class RobotSupply:
         self._ready = wire.ready_servos if isinstance(wire, CyclicBus) else None
         """Returns those of the given servos whose angle is on the wire, if supply starts servos; else None."""
         self._asked = _NONE
+        self._to_feed: Mapping[int, int | None] = {}
+        """`Legs.to_feed` after the latest step."""
         self._changes = 0
         """How often `_asked` has changed. A confirmation of an earlier value does not count for the present one."""
         self._cut = False
@@ -139,17 +141,18 @@ class RobotSupply:
             self._trusted = self._ready is not None
         cuts = why is not None and bool(self._asked)
         self._cut = self._cut or cuts
-        self._ask(self._asked & supervisor.legs.to_feed().keys())
+        self._to_feed = supervisor.legs.to_feed()
+        self._ask(self._asked & self._to_feed.keys())
         return [Announce(Kind.POWER_CUT, f"the servos' supply is taken, {why}", legs=tuple(LEGS))] if cuts else []
 
     def after_step(self) -> None:
         """Request the step's powering, after its frames."""
-        to_feed = self._supervisor.legs.to_feed()
-        wanted = frozenset(to_feed) if self._ready is None else self._ready(to_feed)
+        wanted = frozenset(self._to_feed) if self._ready is None else self._ready(self._to_feed)
         wanted = wanted.difference(self._withheld, self.line.status.refused)
         if not self._trusted and wanted:
             wanted = wanted & self._asked or frozenset([min(wanted)])
-        self._ask(wanted)
+        if wanted != self._asked:
+            self._ask(wanted)
 
     def _ask(self, servos: frozenset[int]) -> None:
         changes = self._changes = self._changes + (servos != self._asked)
@@ -233,7 +236,8 @@ class RobotSupply:
             then(None)
             return
         self._waiting.add(then)
-        self.line.request(lambda board, now_ns: board.when_off(frozenset(servos), asked_ns, then, now_ns))
+        off = frozenset(servos)
+        self.line.request(lambda board, now_ns: board.when_off(off, asked_ns, then, now_ns))
 
     def close(self) -> None:
         """End all waiting: nothing is confirmed."""
