@@ -219,6 +219,16 @@ async def test_what_takes_the_supply_stops_all_of_the_leg_and_nothing_starts_bef
     await starts(robot)
 
 
+async def test_what_landed_while_the_board_was_silent_starts_without_a_reset() -> None:
+    robot = await runs(watchdog={"landing_ms": 500})
+    robot.line.cable = False
+    await asyncio.sleep(0.3)
+    robot.line.cable = True
+    await asyncio.sleep(UP_S)
+    assert running(robot) == []
+    await starts(robot)
+
+
 @pytest.mark.parametrize("how", ["button", "CAN"])
 async def test_the_off_button_is_an_emergency_stop(how: str) -> None:
     robot = await runs()
