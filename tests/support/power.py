@@ -29,8 +29,6 @@ class VirtualLine(Link):
     def catch_up(self) -> None:
         self.run_to(round(self._loop.time() * 1e9))
 
-    close = catch_up
-
     # ---- the line's side
 
     @property

@@ -78,10 +78,6 @@ class Link:
     def want(self, servos: frozenset[int]) -> None:
         self.request(lambda board, now_ns: board.want(servos, 0, now_ns))
 
-    def want_anew(self, servos: frozenset[int]) -> None:
-        self.want(frozenset())
-        self.want(servos)
-
     def cut(self) -> None:
         self.request(PowerBoard.cut)
 
@@ -121,12 +117,11 @@ class Link:
 
     def hear_from_another(self, frame: CanFrame) -> None:
         """Another node on the bus sends this: boards and we receive it."""
-        self.request(lambda _, now_ns: self._from_another(frame, now_ns))
-
-    def _from_another(self, frame: CanFrame, now_ns: int) -> None:
+        self.catch_up()
         self._taken(frame)
         if self.cable and self.hears:
-            self.ours.receive(frame, now_ns)
+            self.ours.receive(frame, self.now_ns)
+        self.catch_up()
 
     @property
     def _boards(self) -> list[SimulatedBoard]:

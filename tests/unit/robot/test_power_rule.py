@@ -160,9 +160,5 @@ WITH_LEG_3_FED: Final = {
         40 reset → announce estop_reset; completed 3
         50 leg 3 stop → command 3 stop; …
         60 leg 3 start 90 → rejected 5 no_power""",
-    "the last servo of the last leg is stopped like any": """
-        15 leg 6 start 90
-        16 board
-        20 board (lost 63) → watchdog 6 stop""",
 }
 test_a_scene_in_which_leg_3_runs = scene_test(WITH_LEG_3_FED, FED)

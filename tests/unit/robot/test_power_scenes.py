@@ -54,7 +54,7 @@ DONE: Final[dict[str, Callable[[Link, str], object]]] = {
     "repeat": _repeat,
     # the gateway
     "want": lambda link, who: link.want(servos(who)),
-    "anew": lambda link, who: link.want_anew(servos(who)),
+    "anew": lambda link, who: DONE["want"](link, "none") or DONE["want"](link, who),
     "cut": lambda link, _: link.cut(),
     "ask": lambda link, who: link.when_off(servos(who)),
     "reset": lambda link, _: link.clear_errors(),
