@@ -1,4 +1,4 @@
-"""`make kernel`: prepares, boots, prints a table.
+"""`make kernel`: prepares, boots once for each set of kernel options, prints a table.
 
 python -m tests.kernel                # all scenes; exit code 1: one does not hold
 python -m tests.kernel atomic killed  # only these
@@ -34,16 +34,18 @@ def main() -> int:
 
 def _play(parts: Parts, chosen: list[str]) -> list[dict[str, Any]]:
     found: dict[str, dict[str, Any]] = {}
+    for options in sorted({SCENES[name].options for name in chosen}):
+        names = [name for name in chosen if SCENES[name].options == options]
 
-    def look(out: Path) -> None:
-        path = out / "scenes"
-        lines = path.read_text().splitlines() if path.exists() else []
-        for row in map(json.loads, lines):
-            if row["scene"] not in found:
-                found[row["scene"]] = row
-                print(f"{len(found)} of {len(chosen)} scenes: {row['scene']}", flush=True)
+        def look(out: Path) -> None:
+            path = out / "scenes"
+            lines = path.read_text().splitlines() if path.exists() else []
+            for row in map(json.loads, lines):
+                if row["scene"] not in found:
+                    found[row["scene"]] = row
+                    print(f"{len(found)} of {len(chosen)} scenes: {row['scene']}", flush=True)
 
-    boot(parts, " ".join(chosen), look)
+        boot(parts, " ".join(names), options, look)
     nothing: Final = {"holds": False, "found": "it was not played to its end; see build/kernel/out/output"}
     return [found.get(name, {"scene": name, **nothing}) for name in chosen]
 

@@ -47,8 +47,8 @@ export PATH=/usr/bin:/bin:/usr/sbin:/sbin PYTHONDONTWRITEBYTECODE=1 HOME=/tmp TM
 """
 
 
-def boot(parts: Parts, scenes: str, look: Callable[[Path], None], cache: Path = CACHE) -> None:
-    """Boot, run the scenes, and wait for the end; `look` sees their folder now and then.
+def boot(parts: Parts, scenes: str, options: str, look: Callable[[Path], None], cache: Path = CACHE) -> None:
+    """Boot with these kernel options, run the scenes, and wait for the end; `look` sees their folder now and then.
 
     Raises PartsError where it does not end in time.
     """
@@ -64,7 +64,7 @@ def boot(parts: Parts, scenes: str, look: Callable[[Path], None], cache: Path = 
         *("-accel", _accelerator(), "-cpu", "max", "-smp", "2", "-m", "2048"),
         *("-nodefaults", "-display", "none", "-no-reboot", "-serial", f"file:{cache / 'console.log'}"),
         *("-kernel", str(parts.kernel), "-initrd", str(initrd)),
-        *("-append", "console=ttyS0 quiet panic=-1"),
+        *("-append", f"console=ttyS0 quiet panic=-1 {options}".rstrip()),
         *("-virtfs", "local,path=/,mount_tag=root,security_model=none,readonly=on,multidevs=remap"),
         *("-virtfs", f"local,path={out},mount_tag=out,security_model=none"),
     ]

@@ -43,9 +43,11 @@ class Bench(SpiDevice):
         framing: Framing = Framing.LENGTH_PREFIXED,
         *,
         frame_gap_us: float = 50,
+        most_transfers: int = 32,
         synchronised: bool = True,
     ) -> None:
         self.now_ns = 7_000 * MS
+        self.most_transfers = most_transfers
         self.batches: list[Batch] = []
         """What was written, or failed."""
         self.calls: list[str] = []
@@ -57,7 +59,7 @@ class Bench(SpiDevice):
         """A call that succeeds takes what the wire needs."""
         self.stall_ns = self.pause_stall_ns = 0
         """What the next call, or the next pause, takes besides."""
-        self.takes_lists = True
+        self.takes_lists, self.rejects_all = True, False
         self.meddled: str | None = None
         self.looks = self.openings = self.open_now = 0
         self.report = BatchReport()
@@ -90,7 +92,7 @@ class Bench(SpiDevice):
         call = call_of(batch)
         self._count += 1
         failed = self.fails(self._count, call)
-        if not failed and len(batch) > 1 and not self.takes_lists:
+        if not failed and (self.rejects_all or (len(batch) > 1 and not self.takes_lists)):
             raise BatchRejectedError("no lists here")
         self.batches.append(tuple(batch))
         self.calls.append(call)
@@ -175,6 +177,7 @@ DONE: Final[dict[str, Callable[[Bench, str], object]]] = {
     "failing-takes": _set("failure_ns", _ns),
     "stalls": _set("stall_ns", _ns),
     "lists": _set("takes_lists", lambda word: word == "on"),
+    "rejects": _set("rejects_all", lambda word: word == "on"),
     "meddled": _set("meddled", str),
 }
 

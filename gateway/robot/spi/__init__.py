@@ -8,7 +8,6 @@ stops as a whole (`Rules.starts_whole`).
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Final
 
 from gateway.errors import ControllerSilentError, SpiError
 from gateway.model.frames import Frame
@@ -18,9 +17,6 @@ Transfer = tuple[bytes, int]
 """The bytes of one chip-select cycle, and the shortest pause after them in µs. In v1.0.0 nothing comes back."""
 Batch = Sequence[Transfer]
 """Transfers that leave together. No other transfer, of any program, comes between them or into the last pause."""
-MOST_TRANSFERS: Final = 32
-"""The most transfers of a batch: each takes 128 of the 4096 bytes in spidev's buffer (ARCH_DMA_MINALIGN of a Raspberry
-Pi), and Python lets other threads run during an `ioctl` with a list of up to 1024 bytes, which these are."""
 
 
 class OpenDevice(ABC):  # noqa: B024  (its kinds differ in how they write)
@@ -43,6 +39,8 @@ class OpenDevice(ABC):  # noqa: B024  (its kinds differ in how they write)
 
 class SpiDevice(OpenDevice):
     """A device that writes batches; nothing comes back."""
+
+    most_transfers: int = 32
 
     @abstractmethod
     def transfer(self, batch: Batch) -> None:

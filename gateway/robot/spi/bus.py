@@ -26,7 +26,7 @@ from typing import Final
 from gateway.errors import BatchRejectedError, SpiError
 from gateway.host.settings_table import SpiSettings
 from gateway.model.frames import ONE_LEG_LEN, PREAMBLE_ZEROS, ZERO, Frame, Framing
-from gateway.robot.spi import MOST_TRANSFERS, Batch, BatchReport, Sent, SpiDevice, Transfer, Wire
+from gateway.robot.spi import Batch, BatchReport, Sent, SpiDevice, Transfer, Wire
 from gateway.robot.spi.awaited import ANYTHING, NOTHING, after, after_failure, after_stall, next_on_the_way_back
 from gateway.robot.spi.guard import check
 from schemas.robot import LEGS
@@ -92,15 +92,17 @@ class Bus(Wire):
         self.announces = settings.framing is Framing.LENGTH_PREFIXED
         """Whether frames have announcements, so that a controller can be out of sync."""
         self._avoid_cdeg = range(*settings.framing.avoid_cdeg) if settings.framing.avoid_cdeg else range(0)
-        self._stops_at_once = MOST_TRANSFERS // (2 if self.announces else 1)
+        self._size = 2 if self.announces else 1
         self._gap_us = ceil(settings.frame_gap_us)
         self._zero: Transfer = ZERO, max(self._gap_us, ZERO_PAUSE_US)
         self.preamble_ns = PREAMBLE_ZEROS * (self._zero[1] * 1000 + ZERO_NS)
         """The longest time of a preamble in parts."""
         gap_ns, byte_ns = self._gap_us * 1000 + CS_CHANGE_NS, 8_000_000_000 // settings.speed_hz
         frame_ns = byte_ns * ONE_LEG_LEN + (byte_ns + gap_ns if self.announces else 0)
-        self._moves_at_once = max(1, min(self._stops_at_once, (LONGEST_NS + gap_ns) // (frame_ns + gap_ns)))
+        self._most_moves = (LONGEST_NS + gap_ns) // (frame_ns + gap_ns)
         self._device: SpiDevice | None = None
+        self._most = self._stops_at_once = 1  # mutants accepted (Step): opening sets them
+        """The most transfers of a call, and the most Stops."""
         self._lists = True  # until the kernel rejects one
         self._awaited = ANYTHING if self.announces else NOTHING
         self._suspect = False  # the device was reopened, and the controller may be out of sync since
@@ -120,6 +122,8 @@ class Bus(Wire):
         except SpiError:
             self.errors += 1
             raise
+        self._most = self._device.most_transfers
+        self._stops_at_once = max(1, self._most // self._size)
 
     # mutants accepted (Step): all stop, or none; nobody gives 1
     def write(self, frames: Sequence[Frame], *, preamble: bool = False) -> BatchReport:
@@ -163,10 +167,10 @@ class Bus(Wire):
         zeros = 0
         if self.announces and self._needs_preamble(now_ns, stops=stops, preamble=preamble):
             zeros = PREAMBLE_ZEROS - self._zeros
-            if not stops or zeros + 2 * len(frames) > MOST_TRANSFERS:
+            if not stops or zeros + self._size * len(frames) > self._most:
                 self._write_preamble(report)
                 zeros = 0
-        at_once = self._stops_at_once if stops else self._moves_at_once
+        at_once = self._stops_at_once if stops else max(1, min(self._stops_at_once, self._most_moves))
         for first in range(0, len(frames), at_once):
             self._call(report, zeros, frames[first : first + at_once], first)
             zeros = 0
@@ -186,7 +190,8 @@ class Bus(Wire):
             self._write_part(report)
 
     def _write_part(self, report: BatchReport) -> None:
-        self._call(report, min(ZEROS_AT_ONCE if self._lists else 1, PREAMBLE_ZEROS - self._zeros))
+        at_once = min(ZEROS_AT_ONCE, self._most) if self._lists else 1
+        self._call(report, min(at_once, PREAMBLE_ZEROS - self._zeros))
 
     def write_zeros(self) -> bool:
         """Write a part of a preamble in a pause of the stream. Return whether more parts follow. Raises SpiError.

@@ -17,10 +17,16 @@ from typing import Any, Final
 
 from gateway.errors import BatchRejectedError, SpiError
 from gateway.host.descriptors import Spare
-from gateway.robot.spi import MOST_TRANSFERS, Batch, DuplexDevice, SpiDevice
+from gateway.robot.spi import Batch, DuplexDevice, SpiDevice
 from gateway.robot.spi.outside import Listener
 
 NO_SPIDEV: Final = "the gateway makes the kernel's calls itself: the Python package spidev is missing, or too old"
+_MOST_TRANSFERS: Final = 32
+"""The longest list has 1024 bytes; up to this size Python lets other threads run during an `ioctl`."""
+BUFSIZ: Final = Path("/sys/module/spidev/parameters/bufsiz")
+_DEFAULT_BUFSIZ: Final = 4096
+_ALIGNED: Final = 128
+"""The least part of spidev's buffer that a transfer takes: ARCH_DMA_MINALIGN, 128 bytes on a Raspberry Pi's arm64."""
 _LONGEST: Final = 128  # bytes of a transfer; the longest frames have 14 and 80
 _SEGMENT: Final = struct.Struct("=QQIIHBBBBBB")
 """struct spi_ioc_transfer: tx_buf, rx_buf, len, speed_hz, delay_usecs, bits_per_word, cs_change, and four that stay 0.
@@ -33,7 +39,7 @@ def _ioctl(direction: int, size: int, number: int) -> int:
     return direction << 30 | size << 16 | ord("k") << 8 | number
 
 
-_MESSAGES: Final = tuple(_ioctl(1, count * _SEGMENT.size, 0) for count in range(MOST_TRANSFERS + 1))
+_MESSAGES: Final = tuple(_ioctl(1, count * _SEGMENT.size, 0) for count in range(_MOST_TRANSFERS + 1))
 """SPI_IOC_MESSAGE(count)."""
 _WRITE_MODE: Final = _ioctl(1, 1, 1)
 _WRITE_BITS: Final = _ioctl(1, 1, 3)
@@ -73,7 +79,8 @@ class KernelDevice(SpiDevice, DuplexDevice):
         self._speed_hz = speed_hz
         self._flags = bytes((mode,))
         self._listener: Listener | None = None
-        self._data = array.array("B", bytes(MOST_TRANSFERS * _LONGEST))
+        self.most_transfers = _most_transfers()
+        self._data = array.array("B", bytes(_MOST_TRANSFERS * _LONGEST))
         self._bytes = memoryview(self._data)
         # Transfers without a receive buffer lost clock edges on a Raspberry Pi 5. Only `exchange` reads the buffer.
         self._received = array.array("B", bytes(_LONGEST))
@@ -177,6 +184,15 @@ def _segments(
         segments += _SEGMENT.pack(data_at, received_at, size, speed_hz, pause_us, _BITS, cs_change, 0, 0, 0, 0)
         data_at += size
     return _MESSAGES[len(sizes)], segments
+
+
+def _most_transfers() -> int:
+    """Return the number of transfers in the longest batch that spidev's buffer holds."""
+    try:
+        size = int(BUFSIZ.read_text())
+    except (OSError, ValueError):
+        size = _DEFAULT_BUFSIZ
+    return max(1, min(_MOST_TRANSFERS, size // _ALIGNED))
 
 
 def _cause_of(error: Exception) -> str:

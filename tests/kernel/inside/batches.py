@@ -9,7 +9,7 @@ from itertools import pairwise
 from gateway.host.settings_table import SpiSettings
 from gateway.model.frames import OP_SET, Framing, OneLeg, ServoOp, stop_leg
 from gateway.robot.spi.bus import Bus
-from gateway.robot.spi.kernel import KernelDevice
+from gateway.robot.spi.kernel import BUFSIZ, KernelDevice
 from tests.kernel.inside import wire
 from tests.support.child import Child
 from tests.support.waiting import wait_until
@@ -140,3 +140,18 @@ def killed() -> str:
     assert before < len(wire.STOPS), "it was killed too late"
     assert sent == wire.STOPS, f"{len(sent)} of six frames left"
     return f"killed after {before} of 6 frames; all 6 left"
+
+
+def small_buffer() -> str:
+    """`spidev.bufsiz=512`: four transfers a list, each aligned to 128 bytes as on a Raspberry Pi."""
+    size = int(BUFSIZ.read_text())
+    assert size == 512, f"spidev.bufsiz is {size}"
+    with bus(Framing.LENGTH_PREFIXED) as ours:
+        report = ours.write(STOPS)
+    assert report.fault is None, report.fault
+    assert report.rejection is None, report.rejection
+    found = wire.messages()
+    assert [data for message in found for data in message.data] == [ZERO] * 16 + wire.announced(wire.STOPS)
+    longest = max(len(message.transfers) for message in found)
+    assert 1 < longest <= 4, f"a list of {longest}"
+    return f"{len(found)} lists of at most {longest} transfers, the same bytes"

@@ -1,4 +1,4 @@
-"""All scenes, and what each shows."""
+"""All scenes: what each shows, and in which boot."""
 
 from collections.abc import Callable
 from typing import Final, NamedTuple
@@ -12,6 +12,8 @@ class Scene(NamedTuple):
 
     shows: str
     play: Callable[[], str]
+    options: str = ""
+    """Of the kernel."""
 
 
 SCENES: Final = {
@@ -44,4 +46,7 @@ SCENES: Final = {
     "power-estop": Scene("socketcan: an emergency stop takes the supply, and is confirmed", power.estop),
     "power-others": Scene("socketcan: masks of other programs on this computer, and stop-servos", power.others),
     "power-down": Scene("socketcan: the interface goes while legs run, and returns", power.down),
+    "bufsiz": Scene(
+        "with a buffer of 512 bytes, shorter lists and the same bytes", batches.small_buffer, "spidev.bufsiz=512"
+    ),
 }

@@ -1,12 +1,14 @@
 """The bus and its device: opened, guarded, counted, closed, and the batches that it is given."""
 
 import itertools
+from collections.abc import Sequence
+from math import ceil
 
 import pytest
 
 from gateway.errors import SpiError
 from gateway.host.settings_table import SpiSettings
-from gateway.model.frames import PREAMBLE_ZEROS, ZERO, Framing, OneServo, Op, ServoOp
+from gateway.model.frames import PREAMBLE_ZEROS, ZERO, Frame, Framing, OneServo, Op, ServoOp
 from gateway.robot.spi import Sent
 from gateway.robot.spi.bus import LONGEST_NS, ZERO_PAUSE_US, Bus
 from gateway.robot.spi.guard import IllegalTransferError
@@ -46,9 +48,13 @@ def test_what_moves_is_split_so_that_no_call_takes_more_than_a_millisecond(frami
         assert max(bench.sizes) == (12 if bench.bus.announces else 10), "six legs are one call"
 
 
-@pytest.mark.parametrize(("takes_lists", "sizes"), [(True, [8, 8]), (False, [1] * 16)], ids=["two calls", "one by one"])
-def test_zeros_of_a_stream_are_written_in_parts(takes_lists: bool, sizes: list[int]) -> None:
-    bench = Bench()
+@pytest.mark.parametrize(
+    ("most", "takes_lists", "sizes"),
+    [(32, True, [8, 8]), (5, True, [5, 5, 5, 1]), (32, False, [1] * 16)],
+    ids=["two calls", "a device that takes less", "one by one"],
+)
+def test_zeros_of_a_stream_are_written_in_parts(most: int, takes_lists: bool, sizes: list[int]) -> None:
+    bench = Bench(most_transfers=most)
     bench.takes_lists = takes_lists
     bench.bus.write(STOPS[:1])
     bench.forget()
@@ -71,6 +77,21 @@ def test_what_is_too_long_for_one_call_leaves_in_more(framing: Framing, count: i
     assert bench.bus.write(SERVO_STOPS[:count], preamble=True).fault is None
     preamble = [ZERO] * PREAMBLE_ZEROS if framing is PREFIXED else []
     assert (bench.written, bench.sizes) == ([*preamble, *on_wire(framing, *SERVO_STOPS[:count])], sizes)
+
+
+@pytest.mark.parametrize("most", range(1, 33))
+@pytest.mark.parametrize("preamble", [False, True])
+def test_a_device_that_takes_less_gets_the_same_in_more_calls(most: int, preamble: bool) -> None:
+    each: tuple[Sequence[Frame], ...] = (STOPS, MOVES, SERVO_STOPS)
+    for framing, frames in itertools.product(Framing, each):
+        bench = Bench(framing, most_transfers=most)
+        a_frame = 2 if bench.bus.announces else 1
+        assert bench.bus.write(frames, preamble=preamble).fault is None
+        zeros = [ZERO] * PREAMBLE_ZEROS if preamble and bench.bus.announces else []
+        assert bench.written == [*zeros, *on_wire(framing, *frames)]
+        assert max(bench.sizes) <= max(a_frame, most), "an announcement and its body stay together"
+        if frames is not MOVES and not zeros:
+            assert len(bench.batches) == ceil(len(frames) / max(1, most // a_frame)), "Stops take no more than needed"
 
 
 def test_a_frames_time_is_the_end_of_its_call() -> None:
