@@ -26,9 +26,17 @@ def check(config: zenoh.Config, *, allow_insecure: bool) -> None:
     listen, dialled = listen_endpoints(config), connect_endpoints(config)
     if not listen and not dialled:
         raise ConfigError("zenoh.listen is empty, and the Zenoh file dials nobody, so nobody could reach the gateway")
+    namespace, rules = get(config, "namespace"), get(config, "access_control/rules")
+    keys = [key for rule in rules or () for key in rule.get("key_exprs") or ()]
+    controlled = get(config, _CONTROLLED) is True
+    if namespace and rules and controlled and not any(key.startswith((f"{namespace}/", "*")) for key in keys):
+        raise ConfigError(
+            f"the Zenoh file has the namespace {namespace}, but no key in its access control begins with it, so nobody "
+            "could command the robot, not even its emergency stop: write it before each key in the rules"
+        )
     quic = ", ".join(endpoint for endpoint in listen + dialled if endpoint.startswith("quic"))
     # All QUIC sessions share one UDP socket, which cannot be shut down.
-    if quic and (get(config, CA) or get(config, _CONTROLLED) is True):
+    if quic and (get(config, CA) or controlled):
         raise ConfigError(
             f"{quic}: over QUIC, revoked clients cannot be disconnected, and no places can be kept for operators; with "
             "certificates, write tls/ in place of quic/"

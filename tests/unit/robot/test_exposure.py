@@ -188,3 +188,19 @@ def test_scouting_is_what_the_zenoh_file_says(
     for way in ("multicast", "gossip"):
         assert json.loads(made.get_json(f"scouting/{way}/enabled")) is (way in stated.get("scouting", {}))
     assert ("dials every Zenoh program" in caplog.text) is warns
+
+
+def test_rules_without_the_robots_namespace_are_rejected() -> None:
+    """Nobody could command that robot, nor stop it."""
+
+    def with_rules(*keys: str, enabled: bool = True, **more: Any) -> bool:
+        rule = {"id": "in", "permission": "allow", "flows": ["ingress"], "messages": ["put"], "key_exprs": list(keys)}
+        control = {"enabled": enabled, "default_permission": "deny", "rules": [rule], "subjects": [], "policies": []}
+        return rejected("tcp/127.0.0.1:7447", **{"access_control": control, "namespace": "robot-1", **more})
+
+    assert with_rules("hexapod/estop/cmd")
+    assert with_rules("robot-10/hexapod/estop/cmd")
+    assert not with_rules("**/hexapod/estop/cmd")
+    assert not with_rules("hexapod/estop/cmd", namespace=None)
+    assert not with_rules("robot-1/hexapod/estop/cmd", "@/router/**"), "one key of its own is enough"
+    assert not with_rules("hexapod/estop/cmd", enabled=False), "Zenoh ignores them"
