@@ -131,10 +131,18 @@ def _value(kind: Any, allowed: Allowed, value: Any, place: Place, faults: list[F
     return found
 
 
+_BOOLEANS: Final = {
+    **dict.fromkeys(("true", "1", "yes", "on"), True),
+    **dict.fromkeys(("false", "0", "no", "off"), False),
+}
+
+
 def _typed(kind: Any, text: str) -> Any:
     """Return a variable's text as the value that a file would have; the text itself for texts, or if it is no value."""
+    if kind is bool:
+        return _BOOLEANS.get(text.lower(), str(text))
     with suppress(ValueError, RecursionError):
-        if kind in {bool, int, float} or get_origin(kind) is tuple:
+        if kind in {int, float} or get_origin(kind) is tuple:
             return tomllib.loads(f"value = {text}")["value"]
     return str(text)
 

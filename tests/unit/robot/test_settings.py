@@ -105,6 +105,12 @@ def faults(path: Path | None = None) -> list[str]:
     return [line.replace(str(path), "file") for line in lines]
 
 
+@pytest.mark.parametrize(("text", "frames"), [("1", True), ("yes", True), ("On", True), ("0", False), ("off", False)])
+def test_a_boolean_variable_has_the_usual_words(monkeypatch: pytest.MonkeyPatch, text: str, frames: bool) -> None:
+    monkeypatch.setenv("HEXAPOD_TELEMETRY__FRAMES", text)
+    assert load().telemetry.frames is frames
+
+
 # ---- values out of range, or anything
 
 
