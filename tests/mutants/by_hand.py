@@ -84,7 +84,7 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
         ByHand("a reset sent before the second emergency stop leaves it", "self.number += 1", "self.number += first"),
     ),
     "gateway/model/calibration.py": (
-        ByHand("two joints get each other's angles", "first, second, third = (op", "first, third, second = (op"),
+        ByHand("two joints get each other's angles", "(ops[0], ops[1], ops[2])", "(ops[0], ops[2], ops[1])"),
     ),
     "gateway/robot/core/lease.py": (
         ByHand("who has handed the robot over goes on driving it", "_give(to, None,", "_give(to, self._token,"),
@@ -92,8 +92,8 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
     "gateway/robot/runtime/calibrations.py": (
         ByHand(
             "a calibration counts as kept before it is on the disk",
-            "self._folder, keep.calibration), kept)\n",
-            "self._folder, keep.calibration), kept)\n            kept(None)\n",
+            "self._disk.write(keep_file, kept)\n",
+            "self._disk.write(keep_file, kept)\n        kept(None)\n",
         ),
     ),
     "gateway/robot/core/legs.py": (
