@@ -14,7 +14,7 @@ MOST_OF_ONE = 4
 MOST_UNPROVED = 16
 DRIFT = 5000
 """A nanosecond in so many: 200 ppm."""
-_KINDS = frozenset({Kind.BUTTON_REGISTERED, Kind.BUTTON_SILENT, Kind.BUTTON_LEFT, Kind.BUTTON_RETURNED})
+_KINDS = frozenset({Kind.BUTTON_REGISTERED, Kind.BUTTON_LEFT, Kind.BUTTON_RETURNED})
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +87,7 @@ class ButtonsHistory:
         """A button without a check-in for the timeout is silent. Each is announced once, in the order of their ends."""
         late = [(button.until_ns, token) for token, button in self.known.items() if button.until_ns is not None]
         late = sorted((each for each in late if now_ns >= each[0]), key=lambda each: each[0])
-        silent = [each.source for each in announced(effects, _KINDS) if each.kind is Kind.BUTTON_SILENT]
+        silent = [each.source for each in announced(effects, {Kind.BUTTON_SILENT})]
         demand(
             silent == [self.known[token].name for _, token in late], f"a button without a check-in is silent: {silent}"
         )
@@ -110,7 +110,7 @@ class ButtonsHistory:
         """Judge the answer to a request, and the event announced about it."""
         reason, event = (Reason.STOPPING, None) if ended else self._outcome(request, now_ns)
         judge_answer(request, effects, reason, request.fresh_token if request.do == "register" else None)
-        kinds = [(each.kind, each.source) for each in announced(effects, _KINDS) if each.kind is not Kind.BUTTON_SILENT]
+        kinds = [(each.kind, each.source) for each in announced(effects, _KINDS)]
         demand(kinds == ([] if event is None else [event]), f"{request.do}: {event} is announced, not {kinds}")
 
     def _outcome(self, request: ButtonRequest, now_ns: int) -> tuple[Reason | None, tuple[Kind, str] | None]:

@@ -1,9 +1,8 @@
 """What a judge of the supervisor remembers of servos and legs; see `oracle.py`."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
-from operator import attrgetter
-from typing import Any, NamedTuple, Self, TypeVar
+from dataclasses import dataclass
+from typing import NamedTuple, TypeVar
 
 from gateway.allowance import NS_PER_S
 from gateway.model.frames import Op
@@ -121,7 +120,7 @@ def speed_age_ns(since_ns: int, now_ns: int, rules: Rules) -> int | None:
     return min(now_ns - since_ns, 180_00 * NS_PER_S // min(speeds) + 1) if speeds else None
 
 
-@dataclass(slots=True)
+@dataclass
 class ServoHistory:
     """One servo: the angle last written while it is energised, what is wanted of it, what is owed to it."""
 
@@ -146,10 +145,6 @@ class ServoHistory:
     owed_ns: int = 0
     stopped_ns: int | None = None
     stopped_by: frozenset[str] = frozenset()
-
-    def clone(self) -> Self:
-        """A copy."""
-        return type(self)(*_SERVO_FIELDS(self))
 
     def key(self, now_ns: int, instant_ns: int, rank: dict[int, int], rules: Rules) -> tuple[object, ...]:
         """What of it still matters; see `Oracle.key`."""
@@ -204,7 +199,7 @@ class ServoHistory:
         self.owed = rules.repeats
 
 
-@dataclass(slots=True)
+@dataclass
 class LegHistory:
     """One leg: when an accepted command last started or set a servo, when a frame moved it, what its bucket held."""
 
@@ -218,12 +213,6 @@ class LegHistory:
     """Since when a start of it waits for its supply."""
     held_until_ns: int = 0
     """Until when its start waits for what may come behind it."""
-
-    def clone(self) -> Self:
-        """A copy."""
-        return type(self)(
-            self.commanded_ns, self.moved_ns, self.bucket_ns, self.source, self.unfed_ns, self.held_until_ns
-        )
 
     def key(self, now_ns: int, rules: Rules, *, armed: bool) -> tuple[object, ...]:
         """What of it still matters; see `Oracle.key`."""
@@ -283,6 +272,3 @@ def change_hands(
     demand(changes == expected, f"changes of a leg's source are announced: {expected}, not {changes}")
     for leg in changed.values():
         leg.source = command.source
-
-
-_SERVO_FIELDS: "attrgetter[tuple[Any, ...]]" = attrgetter(*(f.name for f in fields(ServoHistory)))

@@ -8,7 +8,7 @@ from schemas.telemetry import Kind, Reason
 from tests.support.history import announced, demand, judge_answer
 
 MOST_ASKERS = 8
-_KINDS = frozenset({Kind.LEASE_ACQUIRED, Kind.LEASE_RELEASED, Kind.LEASE_TAKEN, Kind.LEASE_ASKED, Kind.LEASE_EXPIRED})
+_KINDS = frozenset({Kind.LEASE_ACQUIRED, Kind.LEASE_RELEASED, Kind.LEASE_TAKEN, Kind.LEASE_ASKED})
 
 
 class LeaseHistory:
@@ -46,7 +46,7 @@ class LeaseHistory:
         """A holder that is silent for the ttl loses the lease, which is announced once."""
         self.is_new = False
         late = self.due_ns is not None and now_ns >= self.due_ns
-        expired = [each.source for each in announced(effects, _KINDS) if each.kind is Kind.LEASE_EXPIRED]
+        expired = [each.source for each in announced(effects, {Kind.LEASE_EXPIRED})]
         demand(expired == ([self.holder] if late else []), "a holder that falls silent loses the lease in its ttl")
         if late:
             self.end()
@@ -72,9 +72,7 @@ class LeaseHistory:
         judge_answer(request, effects, reason, request.fresh_token if request.do in ("acquire", "take") else None)
         by = self.holder if request.do == "release" else request.source
         if kind is not None and reason is None:
-            events = [
-                (each.kind, each.source) for each in announced(effects, _KINDS) if each.kind is not Kind.LEASE_EXPIRED
-            ]
+            events = [(each.kind, each.source) for each in announced(effects, _KINDS)]
             demand(events == [(kind, by)], f"a change of the lease is announced once: {events}")
         if reason is None:
             self._carry_out(request, now_ns)

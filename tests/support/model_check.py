@@ -136,20 +136,16 @@ def pending(supervisor: Supervisor) -> dict[int, Command]:
     return {command.number: command for command in sorted(waiting, key=attrgetter("number"))}
 
 
-def copied_servo(servo: Servo, commands: dict[int, Command]) -> Servo:
+def _copied_servo(servo: Servo, commands: dict[int, Command]) -> Servo:
     """A copy that waits for the copy of its command, of which each servo has the same."""
     other = type(servo)(*_servo_fields(servo))
     if servo.waiting is not None:
-        other.waiting_for = copied_command(servo.waiting_for, commands)
+        command = servo.waiting_for
+        if command.number not in commands:
+            commands[command.number] = replace(command)
+            commands[command.number].left = command.left
+        other.waiting_for = commands[command.number]
     return other
-
-
-def copied_command(command: Command, commands: dict[int, Command]) -> Command:
-    """Its copy, the same for each servo."""
-    if command.number not in commands:
-        commands[command.number] = replace(command)
-        commands[command.number].left = command.left
-    return commands[command.number]
 
 
 def _copied_interlocks(supervisor: Supervisor, legs: Legs) -> Iterator[Interlock[Any]]:
@@ -168,7 +164,7 @@ def copied(supervisor: Supervisor) -> Supervisor:
     by_number: dict[int, Leg] = {}
     commands: dict[int, Command] = {}
     for number, leg in supervisor.legs.by_number.items():
-        first, second, third = (copied_servo(servo, commands) for servo in leg.servos)
+        first, second, third = (_copied_servo(servo, commands) for servo in leg.servos)
         slots = type(leg.slots)(*_slots_fields(leg.slots))
         _, _, _, *rest = _leg_fields(leg)
         by_number[number] = type(leg)(number, (first, second, third), slots, *rest)

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Self
 
 from gateway.allowance import NS_PER_S
 from gateway.model.frames import Op
@@ -53,7 +52,7 @@ def stepped(
     servo.eases = servo.eases and servo.bound_cdeg is not None
 
 
-@dataclass(slots=True)
+@dataclass
 class LandingHistory:
     """A landing: when it began and must end, for each running servo where it was and where it goes, and which part of
     its way each leg has been commanded: a frame may add one rate slot's part at most."""
@@ -62,10 +61,6 @@ class LandingHistory:
     ends_ns: int
     ways_cdeg: Mapping[int, tuple[int, int]]
     parts_ns: dict[int, int]
-
-    def clone(self) -> Self:
-        """A copy."""
-        return type(self)(self.began_ns, self.ends_ns, self.ways_cdeg, dict(self.parts_ns))
 
     def key(self, now_ns: int) -> tuple[object, ...]:
         """What of it still matters."""

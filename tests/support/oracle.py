@@ -201,7 +201,8 @@ class Oracle(RobotHistory):
         """The legs that the watchdog must stop now, before anything else; they count as stopped from here on."""
         if not self.bus_ok:
             return []
-        unfed = [number for number in self.legs if self.fed_late(number, now_ns)]
+        waited_ns = {number: now_ns - leg.unfed_ns for number, leg in self.legs.items() if leg.unfed_ns is not None}
+        unfed = [number for number, for_ns in waited_ns.items() if for_ns >= self.rules.feed_ns]
         if unfed:
             unfed = list(self.legs) if self.rules.whole_robot else unfed
             self._stopped_unasked(unfed, now_ns)
@@ -214,7 +215,7 @@ class Oracle(RobotHistory):
             number
             for number, leg in self.legs.items()
             if self.armed(number)
-            and (leg.unfed_ns is None or any(servo.on for servo in self.servos_of(number)))
+            and (leg.unfed_ns is None or self.runs(number))
             and (leg.commanded_ns is None or now_ns - leg.commanded_ns >= self.rules.timeout_ns)
         ]
         stopped = list(self.legs) if silent and (self.rules.whole_robot or self.rules.starts_whole) else silent
@@ -253,7 +254,7 @@ class Oracle(RobotHistory):
         stopped = list(self.legs) if unfed and (self.rules.whole_robot or self.rules.starts_whole) else unfed
         self._stopped_unasked(stopped, now_ns)
         for number in waited:
-            if not self.held(number) and not any(servo.on for servo in self.servos_of(number)):
+            if not self.held(number) and not self.runs(number):
                 self.legs[number].commanded_ns = now_ns  # its start leaves with the rate slot, watched from now on
         return stopped
 
@@ -467,7 +468,7 @@ class Oracle(RobotHistory):
             if leg.unfed_ns is not None:
                 demand(now_ns < leg.unfed_ns + self.rules.feed_ns, "a start that nobody feeds ends")
                 latest.append(leg.unfed_ns + self.rules.feed_ns)
-            if self.landing is None and self.armed(number) and not self.waits_for_supply(number):
+            if self.landing is None and self.armed(number) and (not held or self.runs(number)):
                 deadline_ns = (leg.commanded_ns or 0) + self.rules.timeout_ns
                 demand(now_ns < deadline_ns, "a leg without a command within the timeout is off")
                 latest.append(deadline_ns)

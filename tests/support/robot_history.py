@@ -142,9 +142,9 @@ class RobotHistory:
         self.settled_ns = 0
         """From when a run is one of them: far enough behind the last Stop and its repeats."""
         self.owing: list[ServoHistory] = []
+        """The servos that get a Stop in this step which is no repetition."""
         self.sent_again: list[Frame] = []
         """This step's repeats: an equal frame after one is of a run for legs at rest."""
-        """The servos that get a Stop in this step which is no repetition."""
         self.together = False
         """Whether all repeats may go with one that is due, since nothing runs."""
         self.put_off = False
@@ -158,10 +158,10 @@ class RobotHistory:
         """A copy that shares nothing that changes."""
         return cloned(
             self,
-            legs={number: leg.clone() for number, leg in self.legs.items()},
-            servos={servo_id: servo.clone() for servo_id, servo in self.servos.items()},
+            legs={number: cloned(leg) for number, leg in self.legs.items()},
+            servos={servo_id: cloned(servo) for servo_id, servo in self.servos.items()},
             pending=dict(self.pending),
-            landing=self.landing and self.landing.clone(),
+            landing=self.landing and cloned(self.landing, parts_ns=dict(self.landing.parts_ns)),
             lease=cloned(self.lease),
             calibration=cloned(self.calibration),
             buttons=self.buttons.clone(),
@@ -174,7 +174,9 @@ class RobotHistory:
         """What of the history still matters, relative to now; `rank` numbers the pending commands by age."""
         legs = tuple(leg.key(now_ns, self.rules, armed=self.armed(number)) for number, leg in self.legs.items())
         servos = tuple(servo.key(now_ns, self.instant_ns, rank, self.rules) for servo in self.servos.values())
-        latched = None if self.latched_ns is None else self._ages(self.latched_ns, now_ns)
+        oldest_ns = self.rules.unnumbered_reset_ns
+        # How old the latest emergency stop is for a reset of this instant, and of one that begins now.
+        since_ns = () if self.latched_ns is None else (self.instant_ns - self.latched_ns, now_ns - self.latched_ns)
         pause = (self.energised_leg, min(now_ns - self.energised_ns, self.rules.start_pause_ns), self.queue)
         if not self.rules.start_pause_ns:
             pause = (None, 0, ())
@@ -187,7 +189,7 @@ class RobotHistory:
             self.fault,
             self.ended,
             self.outside,
-            latched,
+            tuple(min(each_ns, oldest_ns) for each_ns in since_ns),
             self.unknown,
             self.rules.estop_kept and (self.disk[1], self.disk == (self.estops, self.latched_ns is not None)),
             pause,
@@ -201,11 +203,6 @@ class RobotHistory:
             self.bus_ok and self.rest_ns and max(0, self.rest_ns - now_ns),
             self.bus_ok and self.runs_left and (self.runs_left, max(0, self.settled_ns - now_ns)),
         )
-
-    def _ages(self, latched_ns: int, now_ns: int) -> tuple[int, int]:
-        """How old the latest emergency stop is for a reset of this instant, and of one that begins now."""
-        oldest_ns = self.rules.unnumbered_reset_ns
-        return min(self.instant_ns - latched_ns, oldest_ns), min(now_ns - latched_ns, oldest_ns)
 
     # ---- what follows from that
 
@@ -225,15 +222,6 @@ class RobotHistory:
         }
         unfed = {want.number for each, want in starting.items() if self.power.on and each not in self.power.fed}
         return [each for each in servo_ids_of(leg) if each in starting and starting[each].number in unfed]
-
-    def fed_late(self, number: int, now_ns: int) -> bool:
-        """Whether a start of this leg has waited for its supply for as long as it may."""
-        unfed_ns = self.legs[number].unfed_ns
-        return unfed_ns is not None and now_ns - unfed_ns >= self.rules.feed_ns
-
-    def waits_for_supply(self, leg: int) -> bool:
-        """Whether nothing of a leg runs, and a start of it waits for supply."""
-        return bool(self.held(leg)) and not any(servo.on for servo in self.servos_of(leg))
 
     @property
     def energised(self) -> frozenset[int]:
@@ -269,17 +257,17 @@ class RobotHistory:
 
     def reason_to_reject(self, command: Command) -> Reason | None:
         """Why a command takes no effect."""
-        return CLOSED.get(self.mode) or self._reason_to_move(command)
-
-    def _reason_to_move(self, command: Command) -> Reason | None:
+        closed = CLOSED.get(self.mode)
         moves = [(self.servos[servo_id], servo_id, op) for servo_id, op in command.targets if op.op is not Op.STOP]
         if moves:
-            closed = self.reason_to_move_nothing(command.lease) or self.too_few_buttons
-            closed = closed or self.unfit([servo for servo, _, _ in moves])
+            closed = closed or self.reason_to_move_nothing(command.lease) or self.too_few_buttons
+            needs_battery = any(not servo.on and not servo.starts for servo, _, _ in moves)
+            unfit = Reason.BATTERY_LOW if self.body.low and needs_battery else None
+            closed = closed or (Reason.FALLEN if self.body.fallen else unfit)
             moved = [servo_id for _, servo_id, _ in moves]
             closed = closed or self.power.reason_to_reject(moved) or self.calibration.reason_to_reject(moved)
-            if closed is not None:
-                return closed
+        if closed is not None:
+            return closed
         if not all(self.calibration.allows(servo_id, op.angle_cdeg) for _, servo_id, op in moves):
             return Reason.JOINT_LIMIT
         for servo, _, op in moves:
@@ -292,13 +280,6 @@ class RobotHistory:
         if self.rules.starts_whole and partly and not self.alive:
             return Reason.WHOLE_ROBOT
         return Reason.STALE if self.backlog.is_of_burst(command) and not all(map(self.runs, starts)) else None
-
-    def unfit(self, moved: Iterable[ServoHistory]) -> Reason | None:
-        """Why the body does not allow that these servos move."""
-        if self.body.fallen:
-            return Reason.FALLEN
-        needs_battery = any(not servo.on and not servo.starts for servo in moved)
-        return Reason.BATTERY_LOW if self.body.low and needs_battery else None
 
     def reason_to_move_nothing(self, lease: str | None) -> Reason | None:
         if self.outside:
