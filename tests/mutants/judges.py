@@ -32,7 +32,7 @@ _INBOX: Final = (*_tests("zenoh", "inbox_parts"), *_robot("ownership"))
 _SUPERVISOR: Final = (
     *_robot("supervisor_at_rest supervisor supervisor_stops supervisor_faults supervisor_speed supervisor_takeover"),
     *_robot("supervisor_landing supervisor_calibration supervisor_whole body_limits power_rule"),
-    *_robot("lease buttons latch"),
+    *_robot("lease buttons"),
     f"{_BACKLOG}::test_the_fourth_message_in_one_slot_is_a_burst_and_no_start_of_it_is_ever_sent",
     f"{_BACKLOG}::test_a_scene",
     *_robot("conductor conductor_safety"),
@@ -81,7 +81,7 @@ JUDGES: Final = {
     "gateway/robot/core/buttons.py": _robot("buttons lease_conductor"),
     "gateway/robot/core/rest.py": _robot("supervisor_at_rest supervisor_stops"),
     "gateway/robot/core/backlog.py": _robot("backlog"),
-    "gateway/robot/core/latch.py": _robot("latch supervisor_stops power_rule"),
+    "gateway/robot/core/latch.py": _robot("supervisor_stops power_rule"),
     "gateway/model/power_board.py": (*_model("power_board_bytes"), *_robot("simulated_board")),
     "gateway/robot/power/board.py": _POWER,
     "gateway/robot/power/questions.py": (*_robot("power_parts"), *_POWER),

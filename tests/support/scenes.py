@@ -363,6 +363,7 @@ STEPS: Final[dict[str, Callable[[Scenes, str, Options], events.Event]]] = {
     "open": lambda *_: events.BusOpened(),
     "end": lambda *_: events.ShutDown(),
     "outside": lambda _, what, __: events.StoppedOutside({"begins": True, "ends": False}[what]),
+    "disk": lambda _, number, __: events.EstopKept(int(number), engaged=False),
     "body": _body,
     "board": _board,
     "lease": _lease,

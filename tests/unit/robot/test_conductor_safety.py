@@ -82,6 +82,26 @@ async def test_an_emergency_stop_and_a_reset_of_one_instant_leave_it_engaged(eac
     assert robot.mode == Mode.ESTOPPED
 
 
+@pytest.mark.parametrize("verb", [Verb.PUT, Verb.GET])
+async def test_it_is_told_behind_the_stops_of_each_emergency_stop_and_at_its_reset(verb: Verb) -> None:
+    robot = await started_and_quiet()
+    told: list[tuple[int, bool, int, str | None]] = []
+
+    def note() -> None:
+        latch = robot.conductor.supervisor.latch
+        told.append((latch.number, latch.since_ns is not None, len(robot.frames), robot.conductor.reports.estop_source))
+
+    robot.conductor.on_latch = note
+    for source in ("anna", "bert"):
+        robot.controller.transfers.clear()
+        robot.put(keys.ESTOP, {"source": source}, verb=verb)
+    since = robot.state().estop_since
+    assert since is not None
+    robot.put(keys.RESET, {"estop": 2})
+    assert told == [(1, True, 6, "anna"), (2, True, 6, "bert"), (2, False, 6, "bert")]
+    assert robot.state().estop_since is None
+
+
 # ---- messages that were lost in a flood of their key
 
 

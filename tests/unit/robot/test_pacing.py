@@ -1,6 +1,5 @@
 """When a leg may send, and what: rate slots, merging, and the queue of starts."""
 
-from collections.abc import Iterable
 from itertools import pairwise
 
 import pytest
@@ -13,28 +12,20 @@ from gateway.robot.core.leg import RateSlots, Servo
 from gateway.robot.core.speed import step
 
 
-def sent(period_ns: int, arrivals_ns: list[int]) -> list[tuple[int, int]]:
-    """When frames go out, and which arrival each carries: the newest. Whoever is pending is looked at when due."""
-    slots = RateSlots(period_ns)
-    frames: list[tuple[int, int]] = []
-    pending: int | None = None
-    for number, now_ns in enumerate(arrivals_ns):
-        if pending is not None and slots.next_ns < now_ns:
-            frames.append((slots.next_ns, pending))
-            slots.take(slots.next_ns)
-        pending = number
-        if now_ns >= slots.next_ns:
-            frames.append((now_ns, pending))
-            slots.take(now_ns)
-            pending = None
-    if pending is not None:
-        frames.append((slots.next_ns, pending))
-    return frames
-
-
 def sent_at(period_ns: int, arrivals_ns: list[int]) -> list[int]:
-    """When frames go out."""
-    return [at_ns for at_ns, _ in sent(period_ns, arrivals_ns)]
+    """When frames go out, each with the newest that has arrived. What is pending leaves when it is due."""
+    slots = RateSlots(period_ns)
+    frames_ns: list[int] = []
+    pending = False
+    for now_ns in arrivals_ns:
+        if pending and slots.next_ns < now_ns:
+            frames_ns.append(slots.next_ns)
+            slots.take(slots.next_ns)
+        pending = now_ns < slots.next_ns
+        if not pending:
+            frames_ns.append(now_ns)
+            slots.take(now_ns)
+    return frames_ns + [slots.next_ns] * pending
 
 
 def test_three_slots_are_kept_and_used_a_quarter_of_a_period_apart() -> None:
@@ -92,22 +83,6 @@ def test_who_has_arrived_has_no_time_left_over() -> None:
 PERIOD_NS = 20 * NS_PER_MS
 
 
-def one(first: int, last: int, length_ms: int = 1000, late_ms: int = 0) -> Landing:
-    """A landing of one servo, which begins so late."""
-    end_ns = length_ms * NS_PER_MS
-    length_ns = max(PERIOD_NS, end_ns - 2 * PERIOD_NS)
-    return Landing(late_ms * NS_PER_MS, end_ns, length_ns, PERIOD_NS, {32: (first, last)})
-
-
-def said_at(way: Landing, times_ms: Iterable[float]) -> list[int]:
-    """What frames at these times say."""
-    part_ns, said = 0, []
-    for at_ms in times_ms:
-        part_ns = way.next_part_ns(part_ns, round(at_ms * NS_PER_MS))
-        said.append(way.angle_cdeg(32, part_ns))
-    return said
-
-
 @given(angles, angles, st.integers(0, 5000), st.integers(0, 4000), st.lists(st.integers(0, 5000)))
 @example(150_00, 30_00, 1000, 975, [980])  # a stall before it: 25 ms are left for 120 degrees
 @example(150_00, 30_00, 1000, 0, [*range(20, 300, 20), 900, 920])  # a stall in its middle
@@ -115,9 +90,15 @@ def test_no_frame_goes_on_by_more_than_a_rate_slot_s_part(
     first: int, last: int, length_ms: int, late_ms: int, times_ms: list[int]
 ) -> None:
     """However late it begins, and whatever stalls come: what does not arrive in time is stopped where it is."""
-    said = said_at(one(first, last, length_ms, late_ms), sorted(late_ms + at_ms for at_ms in times_ms))
+    end_ns = length_ms * NS_PER_MS
+    length_ns = max(PERIOD_NS, end_ns - 2 * PERIOD_NS)
+    way = Landing(late_ms * NS_PER_MS, end_ns, length_ns, PERIOD_NS, {32: (first, last)})
+    part_ns, said = 0, [first]
+    for at_ms in sorted(times_ms):
+        part_ns = way.next_part_ns(part_ns, (late_ms + at_ms) * NS_PER_MS)
+        said.append(way.angle_cdeg(32, part_ns))
     slots = max(1.0, length_ms / 20 - 2)
-    for before, after in pairwise([first, *said]):
+    for before, after in pairwise(said):
         assert abs(after - before) <= abs(last - first) / slots + 1
 
 

@@ -23,8 +23,8 @@ TRIALS = 100
 ALL_START = {"legs": {str(number): leg("start", 90, 90, 90) for number in LEGS}}
 
 
-async def six_legs_run(framing: Framing = PREFIXED, timeout_ms: int = 10_000) -> Robot:
-    robot = await started_and_quiet(spi={"framing": framing}, watchdog={"timeout_ms": timeout_ms})
+async def six_legs_run(framing: Framing = PREFIXED) -> Robot:
+    robot = await started_and_quiet(spi={"framing": framing}, watchdog={"timeout_ms": 10_000})
     assert robot.ask(keys.LEGS_COMMAND, ALL_START).accepted
     assert len(robot.controller.energised) == 18
     robot.controller.all_off_ns = None

@@ -7,7 +7,7 @@ import pytest
 from gateway.model.frames import Op
 from gateway.robot.core.events import Announce, Transmit
 from schemas.telemetry import Mode, WatchdogState
-from tests.support.scenes import Scenes, all_stopped, leg_to, play, scene_test
+from tests.support.scenes import Scenes, all_stopped, play, scene_test
 
 TIMEOUT_MS, LANDING_MS = 250, 1000
 ENDS_MS = 10 + TIMEOUT_MS + LANDING_MS
@@ -16,7 +16,6 @@ ENDS_MS = 10 + TIMEOUT_MS + LANDING_MS
 
 LANDS: Final = "rules landing_ms=1000, landing_cdeg={31: 3000, 42: 10000}\n 10 legs 34 start 90\n"
 """Legs 3 and 4 run since 10 ms, and have been silent since; the pose names two of their servos."""
-SLOW: Final = LANDS.replace("rules", "rules max_speed_cdeg_s={31: 1000},")
 
 
 def until(steps: Scenes, at_ms: float) -> dict[int, list[tuple[float, int]]]:
@@ -62,23 +61,14 @@ def test_what_a_timer_is_late_does_not_add_up_and_is_not_made_up_for(late_ms: fl
     assert steps.time(next_ms)[0].startswith("watchdog 31 set")
 
 
-def test_a_stop_stops_its_leg_at_once_and_the_others_go_on() -> None:
-    steps = play(LANDS)
-    steps.time(10 + TIMEOUT_MS)
-    assert steps.command(300, leg_to(3, "stop"))[0] == "command 3 stop"
-    told = until(steps, ENDS_MS - 1)
-    assert 31 not in told
-    assert told[42][-1][1] == 100_00
-
-
 @pytest.mark.parametrize("at_ms", [10 + TIMEOUT_MS, 500, ENDS_MS - 1, ENDS_MS])
 def test_the_emergency_stop_ends_it_at_any_instant(at_ms: float) -> None:
-    steps = play(LANDS)
-    until(steps, at_ms - 0.5)
-    assert steps.do(at_ms, "estop") == [*all_stopped("estop"), "announce estop_engaged"]
-    assert steps.due_ms is None
-    steps.do(at_ms + 1, "reset")
-    assert steps.command(at_ms + 2, leg_to(3, "start 90"))[0] == "command 3 start 90"
+    play(f"""{LANDS}
+        {at_ms - 0.5} pass
+        {at_ms} estop → estop 1-6 stop; announce estop_engaged
+        due never
+        {at_ms + 1} reset
+        {at_ms + 2} leg 3 start 90 → command 3 start 90; …""")
 
 
 def test_a_late_look_makes_the_landing_no_longer() -> None:
@@ -88,13 +78,14 @@ def test_a_late_look_makes_the_landing_no_longer() -> None:
     assert steps.running == []
 
 
-def test_a_limited_speed_holds_in_a_landing() -> None:
-    steps = play(SLOW)
-    told = until(steps, ENDS_MS)[31]
-    assert 80_00 <= told[-1][1] <= 80_40  # 1000 ms of it, at 10 degrees a second
-
-
 SCENES: Final = {
+    "a stop stops its leg at once and the others go on": f"""{LANDS}
+        260 time
+        300 leg 3 stop → command 3 stop; …
+        1259 pass → …; watchdog 42 set 100
+        running 41 42 43""",
+    "a limited speed holds": f"""{LANDS.replace("rules", "rules max_speed_cdeg_s={31: 1000},")}
+        1259 pass → …; watchdog 31 set 80.2; …""",
     "a leg whose slot comes later keeps no other from going on": f"""{LANDS.replace("10000", "9024")}
         260 time
         296 time → watchdog 31 set 88.75

@@ -178,16 +178,12 @@ def test_a_host_is_compared_whole_and_no_page_may_ask_but_ours(host: str | None,
 # ---- the black box
 
 
-def measured_in(folder: Path) -> list[Measured]:
-    return contents(folder, Measured)
-
-
 async def test_the_black_box_has_what_was_measured_ten_times_a_second_at_most(folder: Path) -> None:
     robot = recorded(folder, wire=ELKAPOD)
     for number in range(100):  # 2 s
         robot.conductor.measured(MEASURED._replace(temperature_c=float(number)), robot.now_ns())
         await asyncio.sleep(0.02)
-    found = measured_in(folder)
+    found = contents(folder, Measured)
     assert found[0] == MEASURED._replace(temperature_c=0.0), "every value as it came"
     assert 16 <= len(found) <= 20
     assert [each.temperature_c for each in found] == sorted({each.temperature_c for each in found})
