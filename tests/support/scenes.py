@@ -37,18 +37,6 @@ T = TypeVar("T", bound=events.Effect)
 Options = dict[str, str]
 
 
-def servo_to(servo_id: int, word: str) -> Targets:
-    """One servo's target: `start 90`, `set 45.5` or `stop`."""
-    name, _, angle = word.partition(" ")
-    return ((servo_id, STOP if name == "stop" else ServoOp(Op[name.upper()], round(float(angle) * 100))),)
-
-
-def leg_to(number: int, *words: str) -> Targets:
-    """A leg's three targets; a single word is for all three."""
-    each = zip(servo_ids_of(number), words * (3 // len(words)), strict=True)
-    return tuple(target for servo_id, word in each for target in servo_to(servo_id, word))
-
-
 def said(effect: events.Effect) -> str:
     """An effect in words: `command 11 start 90`, `watchdog 1 stop`, `completed 3 coalesced`, `rejected 4 stale`."""
     match effect:
@@ -123,7 +111,9 @@ class Scenes:
         if what == "pass":
             return self._pass(at_ms)
         if what in ("leg", "legs", "servo"):
-            return self.command(at_ms, targets_of(words), options.pop("key", "leg"), **options)
+            key, lease, source = options.get("key", "leg"), options.get("lease"), options.get("source")
+            number, targets = self.next_number(), targets_of(words)
+            return self.take(at_ms, events.Command(targets, key=key, source=source, number=number, lease=lease))
         if what in ("lost", "timed"):
             lost, sent_ms = what == "lost", None if what == "lost" else 1
             command = events.Command(targets_of(more), key=what, number=99, lost=lost, sent_ms=sent_ms)
@@ -157,19 +147,6 @@ class Scenes:
 
     def time(self, at_ms: float) -> list[str]:
         return self.take(at_ms, events.TimePassed())
-
-    def command(
-        self,
-        at_ms: float,
-        targets: Targets,
-        channel: str = "leg",
-        *,
-        lease: str | None = None,
-        source: str | None = None,
-    ) -> list[str]:
-        """A command with the next number."""
-        command = events.Command(targets, key=channel, source=source, number=self.next_number(), lease=lease)
-        return self.take(at_ms, command)
 
     def button(
         self,
@@ -284,14 +261,17 @@ def targets_of(words: str) -> Targets:
     found: Targets = ()
     for each in words.split(" + "):
         of, number, word = each.strip().split(" ", 2)
-        match of:
-            case "leg":
-                found += leg_to(int(number), *(part.strip() for part in word.split("|")))
-            case "legs":
-                found += tuple(target for leg in number for target in leg_to(int(leg), word))
-            case _:
-                found += servo_to(int(number), word)
+        legs = [] if of == "servo" else map(int, number)
+        servo_ids = [servo_id for leg in legs for servo_id in servo_ids_of(leg)] or [int(number)]
+        ops = [op_of(part.strip()) for part in word.split("|")]  # one is for all
+        found += tuple(zip(servo_ids, ops * (len(servo_ids) // len(ops)), strict=True))
     return found
+
+
+def op_of(word: str) -> ServoOp:
+    """`start 90`, `set 45.5` or `stop`."""
+    name, _, angle = word.partition(" ")
+    return STOP if name == "stop" else ServoOp(Op[name.upper()], round(float(angle) * 100))
 
 
 def ids(words: str) -> tuple[int, ...]:

@@ -5,28 +5,12 @@ from typing import Final
 import pytest
 
 from schemas.robot import SERVO_IDS
-from schemas.telemetry import WatchdogState
-from tests.support.scenes import Scenes, leg_to, play, scene_test, servo_to
+from tests.support.scenes import play, scene_test
 
 
 @pytest.mark.parametrize("servo_id", SERVO_IDS)
 def test_a_set_is_rejected_where_nothing_was_started(servo_id: int) -> None:
-    robot = Scenes()
-    assert robot.command(1, servo_to(servo_id, "set 90")) == ["rejected 1 servo_stopped"]
-    assert robot.running == []
-
-
-def test_a_leg_is_shown_as_expired_until_it_is_started_or_stopped_as_a_whole() -> None:
-    robot = Scenes()
-    first = robot.supervisor.legs.by_number[1]
-    for word, shown in (("stop", WatchdogState.IDLE), ("start 90", WatchdogState.ARMED)):
-        robot.command(1000, leg_to(1, "start 90"))
-        robot.time(1250)
-        assert robot.command(1300, servo_to(12, "stop"))[0] == "command 12 stop"
-        assert first.watchdog is WatchdogState.EXPIRED, "one servo says nothing of the leg"
-        robot.command(1310, leg_to(1, word))
-        assert first.watchdog is shown
-        robot.command(1320, leg_to(1, "stop"))
+    play(f"1 servo {servo_id} set 90 → rejected 1 servo_stopped\n running none")
 
 
 @pytest.mark.parametrize(
@@ -43,6 +27,16 @@ def test_a_set_is_rejected_after_every_kind_of_stop(stop: str) -> None:
 
 
 SCENES: Final = {
+    "a leg is shown as expired until it is started or stopped as a whole": """
+        1000 leg 1 start 90
+        1300 servo 12 stop
+        watchdogs expired idle idle idle idle idle  # one servo says nothing of the leg
+        1310 leg 1 stop
+        watchdogs idle idle idle idle idle idle
+        1320 leg 1 start 90
+        1600 time
+        1610 leg 1 start 90
+        watchdogs armed idle idle idle idle idle""",
     "an angle outside a joints limits rejects the whole command": """
         rules joint_limits_cdeg={12: (2000, 16000)}
         1 leg 1 start 10 → rejected 1 joint_limit

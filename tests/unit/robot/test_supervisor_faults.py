@@ -11,13 +11,13 @@ from gateway.robot.core.leg import Rules
 from gateway.robot.core.supervisor import IllegalEvent
 from schemas.telemetry import Mode
 from tests.support.model_check import copied, key, pending
-from tests.support.scenes import Scenes, leg_to, scene_test, servo_to
+from tests.support.scenes import Scenes, scene_test, targets_of
 from tests.support.transitions import TRANSITIONS
 
 # ---- the table of transitions
 
 EVENTS: dict[type[events.Event], events.Event] = {
-    events.Command: events.Command(servo_to(11, "start 90"), key="leg", number=9),
+    events.Command: events.Command(targets_of("servo 11 start 90"), key="leg", number=9),
     events.Reset: events.Reset(number=9),
     events.EmergencyStop: events.EmergencyStop(),
     events.BusOpened: events.BusOpened(),
@@ -32,15 +32,10 @@ def robot_in(mode: Mode) -> Scenes:
     """A robot in this mode, with as much going on in it as there can be."""
     robot = Scenes(Rules(repeats=1), opened=mode is not Mode.STARTING)
     if mode not in (Mode.STARTING, Mode.IDLE):
-        robot.command(1, leg_to(1, "start 90"))
-        robot.command(2, leg_to(1, "set 80"))
-    match mode:
-        case Mode.ESTOPPED:
-            robot.do(3, "estop")
-        case Mode.BUS_FAULT:
-            robot.do(3, "fail")
-        case Mode.STOPPING:
-            robot.do(3, "end")
+        robot.play("1 leg 1 start 90\n 2 leg 1 set 80")
+    comes = {Mode.ESTOPPED: "estop", Mode.BUS_FAULT: "fail", Mode.STOPPING: "end"}
+    if mode in comes:
+        robot.do(3, comes[mode])
     assert robot.supervisor.mode is mode
     return robot
 

@@ -6,7 +6,7 @@ from typing import Final
 
 import pytest
 
-from tests.support.scenes import Scenes, play, scene_test, servo_to
+from tests.support.scenes import Scenes, play, scene_test
 
 RULES: Final = "rules takeover_cdeg_s=18000\n"
 HELD: Final = """
@@ -27,7 +27,7 @@ def angles_sent(lines: list[str]) -> list[float]:
 
 def streamed(steps: Scenes, target: str, source: str, ms: range) -> list[float]:
     """A program sets servo 31 every 20 ms. Return the angles sent to it."""
-    return [deg for at_ms in ms for deg in angles_sent(steps.command(at_ms, servo_to(31, target), source=source))]
+    return [deg for at_ms in ms for deg in angles_sent(steps.do(at_ms, f"servo 31 {target} (source {source})"))]
 
 
 def test_a_second_program_moves_a_servo_no_faster_than_a_takeover_may() -> None:
