@@ -7,11 +7,10 @@ import pytest
 
 from gateway.allowance import NS_PER_S
 from gateway.robot.core import events
-from gateway.robot.core.leg import Rules
 from gateway.robot.core.supervisor import IllegalEvent
 from schemas.telemetry import Mode
 from tests.support.model_check import copied, key, pending
-from tests.support.scenes import Scenes, scene_test, targets_of
+from tests.support.scenes import play, scene_test, targets_of
 from tests.support.transitions import TRANSITIONS
 
 # ---- the table of transitions
@@ -28,23 +27,23 @@ EVENTS: dict[type[events.Event], events.Event] = {
 }
 
 
-def robot_in(mode: Mode) -> Scenes:
-    """A robot in this mode, with as much going on in it as there can be."""
-    robot = Scenes(Rules(repeats=1), opened=mode is not Mode.STARTING)
-    if mode not in (Mode.STARTING, Mode.IDLE):
-        robot.play("1 leg 1 start 90\n 2 leg 1 set 80")
-    comes = {Mode.ESTOPPED: "estop", Mode.BUS_FAULT: "fail", Mode.STOPPING: "end"}
-    if mode in comes:
-        robot.do(3, comes[mode])
-    assert robot.supervisor.mode is mode
-    return robot
+RUNS: Final = "rules repeats=1, rest_runs=3\n 1 leg 1 start 90\n 2 leg 1 set 80\n"
+WAYS: Final = {
+    Mode.STARTING: "rules repeats=1\n unopened",
+    Mode.IDLE: "rules repeats=1, rest_runs=3",
+    Mode.ACTIVE: RUNS,
+    Mode.ESTOPPED: f"{RUNS} 3 estop",
+    Mode.BUS_FAULT: f"{RUNS} 3 fail",
+    Mode.STOPPING: f"{RUNS} 3 end",
+}
+"""How a robot comes into a mode, with as much going on in it as there can be."""
 
 
 @pytest.mark.parametrize("kind", EVENTS, ids=lambda kind: kind.__name__)
 @pytest.mark.parametrize("mode", Mode)
 @pytest.mark.parametrize("at_ms", [4, 10_000])
 def test_every_event_in_every_mode(mode: Mode, kind: type[events.Event], at_ms: float) -> None:
-    robot = robot_in(mode)
+    robot = play(f"{WAYS[mode]}\n mode {mode}")
     event = replace(EVENTS[kind])
     if kind in TRANSITIONS[mode]:
         robot.take(at_ms, event)

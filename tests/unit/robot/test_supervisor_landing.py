@@ -4,64 +4,40 @@ from typing import Final
 
 import pytest
 
-from gateway.model.frames import Op
-from gateway.robot.core.events import Announce, Transmit
-from schemas.telemetry import Mode, WatchdogState
-from tests.support.scenes import Scenes, all_stopped, play, scene_test
-
-TIMEOUT_MS, LANDING_MS = 250, 1000
-ENDS_MS = 10 + TIMEOUT_MS + LANDING_MS
-"""For a leg that was last heard at 10 ms."""
-
+from tests.support.scenes import play, scene_test
 
 LANDS: Final = "rules landing_ms=1000, landing_cdeg={31: 3000, 42: 10000}\n 10 legs 34 start 90\n"
-"""Legs 3 and 4 run since 10 ms, and have been silent since; the pose names two of their servos."""
-
-
-def until(steps: Scenes, at_ms: float) -> dict[int, list[tuple[float, int]]]:
-    """Let time pass as the service does, up to `at_ms`: which angle each servo was told, and when."""
-    told: dict[int, list[tuple[float, int]]] = {}
-    while steps.due_ms is not None and steps.due_ms <= at_ms:
-        now_ms = steps.due_ms
-        steps.time(now_ms)
-        for effect in steps.effects:
-            if isinstance(effect, Transmit):
-                for servo_id, op in effect.frame.servos:
-                    assert op.op in (Op.SET, Op.STOP)
-                    if op.op is Op.SET:
-                        told.setdefault(servo_id, []).append((now_ms, op.angle_cdeg))
-    return told
+"""Legs 3 and 4 run since 10 ms, and are silent from then on: they land from 260 to 1260 ms, to a pose of two servos."""
 
 
 def test_silence_lands_the_whole_robot_and_then_stops_it() -> None:
-    steps = play(LANDS)
-    assert steps.time(10 + TIMEOUT_MS) == ["announce landing"]
-    told = until(steps, ENDS_MS - 1)
-    assert [angle for _, angle in told[31]] == sorted((angle for _, angle in told[31]), reverse=True)
-    assert told[31][-1][1] == 30_00
-    assert 45 <= len(told[31]) <= 50, "one frame in a period"
-    assert told[42][-1][1] == 100_00
-    assert told.keys() == {31, 42}, "a servo that the pose does not name holds its angle"
-    assert steps.running == [31, 32, 33, 41, 42, 43]
-    assert steps.due_ms == ENDS_MS
-    assert steps.time(ENDS_MS) == [*all_stopped("watchdog"), "announce watchdog_expired"]
-    assert steps.only(Announce).legs == (1, 2, 3, 4, 5, 6)
-    assert steps.supervisor.mode is Mode.IDLE
-    watchdogs = [leg.watchdog for leg in steps.supervisor.legs]
-    assert watchdogs == [WatchdogState.EXPIRED if leg in (3, 4) else WatchdogState.IDLE for leg in range(1, 7)]
+    steps = play(f"{LANDS} 260 time → announce landing")
+    lines = steps.do(1259, "pass")
+    for begin, last_deg in ("watchdog 31 set ", 30), ("watchdog 42 set ", 100):
+        angles_deg = [float(line.removeprefix(begin)) for line in lines if line.startswith(begin)]
+        assert angles_deg == sorted(angles_deg, reverse=last_deg < 90)
+        assert angles_deg[-1] == last_deg
+        assert 45 <= len(angles_deg) <= 50, "one frame in a period"
+    moved = {line.split()[1] for line in lines if "set" in line}
+    assert moved == {"31", "42"}, "a servo that the pose does not name holds its angle"
+    steps.play("""
+        running 31 32 33 41 42 43
+        due 1260
+        1260 time → watchdog 1-6 stop; announce watchdog_expired
+        legs 123456
+        mode idle
+        watchdogs idle idle expired expired idle idle""")
 
 
 @pytest.mark.parametrize(("late_ms", "next_ms"), [(0, 300), (5, 300), (15, 300), (16, 301), (20, 320), (65, 365)])
 def test_what_a_timer_is_late_does_not_add_up_and_is_not_made_up_for(late_ms: float, next_ms: float) -> None:
-    steps = play(LANDS)
-    steps.time(10 + TIMEOUT_MS)
-    assert steps.due_ms == 280
+    steps = play(f"{LANDS} 260 time\n due 280")
     assert steps.time(280 + late_ms)[0].startswith("watchdog 31 set")
     assert steps.due_ms == next_ms
     assert steps.time(next_ms)[0].startswith("watchdog 31 set")
 
 
-@pytest.mark.parametrize("at_ms", [10 + TIMEOUT_MS, 500, ENDS_MS - 1, ENDS_MS])
+@pytest.mark.parametrize("at_ms", [260, 500, 1259, 1260])
 def test_the_emergency_stop_ends_it_at_any_instant(at_ms: float) -> None:
     play(f"""{LANDS}
         {at_ms - 0.5} pass
@@ -72,10 +48,7 @@ def test_the_emergency_stop_ends_it_at_any_instant(at_ms: float) -> None:
 
 
 def test_a_late_look_makes_the_landing_no_longer() -> None:
-    steps = play(LANDS)
-    steps.time(ENDS_MS - 100)
-    assert not until(steps, ENDS_MS).keys() - {31, 32, 33, 41, 42, 43}
-    assert steps.running == []
+    play(f"{LANDS} 1160 time\n 1260 pass → …; watchdog 1-6 stop; announce watchdog_expired")
 
 
 SCENES: Final = {

@@ -13,15 +13,9 @@ RUNS: Final = "rules max_speed_cdeg_s={31: 10000}\n 1 leg 3 start 90\n"
 
 def angles(steps: Scenes, until_ms: float) -> list[float]:
     """The angles sent to servo 31 as time passes."""
-    said: list[float] = []
-    while steps.due_ms is not None and steps.due_ms <= until_ms:
-        for line in steps.time(steps.due_ms):
-            words = line.split()
-            if words[:3] == ["command", "31", "set"]:
-                said.append(float(words[3]))
-            else:
-                assert words[0] != "command", line
-    return said
+    frames = [line.split() for line in steps.do(until_ms, "pass") if line.startswith("command")]
+    assert all(words[1:3] == ["31", "set"] for words in frames), frames
+    return [float(words[3]) for words in frames]
 
 
 def test_a_far_target_is_approached_and_reached() -> None:
