@@ -102,10 +102,10 @@ def stopped(robot: Robot) -> set[int]:
     return set(SERVO_IDS) - robot.controller.energised
 
 
-def named(payload: object, key: str = LEG_3, encoding: str = "application/json") -> set[int]:
+def named(payload: object, key: str) -> set[int]:
     """The servos that a rejected payload stops."""
     data = payload if isinstance(payload, bytes) else json.dumps(payload).encode()
-    received = Received(key, key, COMMAND_KEYS.get(key), Verb.PUT, data, len(data), encoding, None, 0)
+    received = Received(key, key, COMMAND_KEYS.get(key), Verb.PUT, data, len(data), JSON, None, 0)
     return {servo_id for servo_id, op in stops_in(received) if op.op is Op.STOP}
 
 
@@ -213,8 +213,6 @@ def test_any_bytes_are_judged(payload: bytes, key: str) -> None:
 
 # ---- rejected for another reason than the form
 
-MIXED: dict[str, Any] = {"servos": [STOP, SET, SET]}
-
 
 @pytest.mark.virtual_time
 @pytest.mark.parametrize("verb", [Verb.PUT, Verb.GET])
@@ -223,7 +221,7 @@ async def test_the_stops_of_a_stale_command_come(verb: Verb) -> None:
     robot.put(LEG_3, leg("set", 90, 90, 90, source="bert", sent_ms=1000))
     await asyncio.sleep(0.15)
     robot.put(LEG_3, leg("set", 90, 90, 90, source="bert", sent_ms=1150))
-    late = {**MIXED, "source": "bert", "sent_ms": 300}
+    late = {"servos": [STOP, SET, SET], "source": "bert", "sent_ms": 300}
     if verb is Verb.PUT:
         robot.put(LEG_3, late)
     else:

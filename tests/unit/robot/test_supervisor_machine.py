@@ -24,7 +24,7 @@ from schemas.calibration import CalibrationCommand, ServoChange
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Kind, Mode
 from tests.support.faulty_controller import FaultyController
-from tests.support.history import demand, is_coalesced
+from tests.support.history import announced, demand, is_coalesced
 from tests.support.model_check import State, pending
 from tests.support.model_check import events as candidates
 from tests.support.oracle import Oracle
@@ -129,10 +129,6 @@ CHANGES = st.builds(
 )
 
 
-def is_handover(effect: events.Effect) -> bool:
-    return isinstance(effect, events.Announce) and effect.kind is Kind.SOURCE_CHANGED
-
-
 def numbered(effect: events.Effect) -> object:
     """An effect with the numbers of requests in place of these."""
     match effect:
@@ -182,10 +178,9 @@ class SupervisorMachine(RuleBasedStateMachine):
         effects = self.supervisor.step(event, self.now_ns, self.instant_ns)
         nameless = self.nameless.step(without, self.now_ns, self.instant_ns)
         if not self.supervisor._rules.takeover_cdeg_s:
-            demand(
-                [numbered(effect) for effect in effects if not is_handover(effect)] == list(map(numbered, nameless)),
-                "the source of commands changes only events, and the speed of a take-over",
-            )
+            handovers = announced(effects, {Kind.SOURCE_CHANGED})
+            same = [numbered(effect) for effect in effects if effect not in handovers] == list(map(numbered, nameless))
+            demand(same, "the source of commands changes only events, and the speed of a take-over")
             demand(self.supervisor.due_ns == self.nameless.due_ns, "who commands changes no time")
         demand(self.supervisor.mode in TRANSITIONS[mode][type(event)], f"{mode} leads to {self.supervisor.mode}")
         self.oracle.judge(event, self.now_ns, effects, self.supervisor, self.instant_ns)
