@@ -99,21 +99,6 @@ SCENES: Final = {
         115 servo 21 stop + servo 22 set 80
         due 150
         150 time → command 3 start 90; completed 3""",
-    "a leg whose start was dropped keeps nobody off": """
-        rules start_pause_ms=50
-        100 leg 1 start 90
-        110 leg 2 start 90
-        120 estop → …; rejected 2 estopped; …
-        130 reset
-        200 leg 3 start 90 → command 3 start 90; …""",
-    "a leg whose rate slot has not come keeps its place": """
-        rules start_pause_ms=1
-        100 leg 1 start 90
-        101 leg 1 stop
-        103 leg 1 start 80 → nothing
-        104 leg 2 start 90 → nothing
-        105 time → command 1 start 80; completed 3
-        106 time → command 2 start 90; completed 4""",
     "a start does not undo the watchdogs stop of its instant": """
         100 leg 1 start 90
         instant 349

@@ -29,16 +29,6 @@ SCENES: Final = {
         350 time → watchdog 1 stop; announce watchdog_expired
         joined 3456
         running 21 22 23""",
-    "a leg whose stop is to be repeated gets no other": """
-        rules repeats=1, repeat_interval_ms=20, rest_runs=3
-        20 time
-        101 leg 1 start 90
-        102 leg 2 start 90
-        103 leg 3 start 90
-        351 time
-        joined 456
-        352 time
-        joined none""",
     "a service that ends waits for no further run": """
         rules rest_runs=3
         100 leg 1 start 90
@@ -106,11 +96,6 @@ def test_three_more_runs_follow_whatever_brings_the_last_leg_to_rest(stops: str)
     """Or stops a robot at rest: bytes of that Stop may be lost, too."""
     robot = at_rest().play(stops)
     assert [round(each - 5010) for each in runs_of(robot)][-4:] == [1160, 2260, 3360, 4460]
-
-
-def test_repeats_that_take_long_are_over_before_the_first_of_them() -> None:
-    robot = play("rules repeats=2, repeat_interval_ms=1000, rest_runs=3")
-    assert runs_of(robot) == [1000, 2000, 3100, 4200, 5300, 6400]
 
 
 def test_a_stop_while_they_are_owed_moves_none_and_three_more_are_far_enough_behind_it() -> None:

@@ -95,12 +95,6 @@ SCENES: Final = {
         149 time → nothing
         150 time → command 2 start 90
         200 time → command 3 start 90; completed 1""",
-    "those that run are not held back": """
-        rules start_pause_ms=50
-        100 leg 1 start 90
-        101 leg 2 start 90
-        121 leg 1 start 80 → command 1 start 80; completed 3
-        running 11 12 13""",
     "a command that starts one leg and stops another does not reject itself": """
         rules start_pause_ms=50
         100 leg 1 start 90

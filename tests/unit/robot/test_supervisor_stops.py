@@ -2,8 +2,6 @@
 
 from typing import Final
 
-import pytest
-
 from tests.support.scenes import play, scene_test
 
 # ---- 4, the watchdog
@@ -20,17 +18,6 @@ def test_a_silent_leg_is_stopped() -> None:
         expirations 1
         due never
         watchdogs expired idle idle idle idle idle""")
-
-
-@pytest.mark.parametrize(
-    "targets", ["leg 1 start 80", "servo 12 set 80", "legs 12 start 1", "leg 1 stop | stop | set 80"]
-)
-def test_any_accepted_command_that_starts_or_sets_a_servo_of_the_leg_feeds_it(targets: str) -> None:
-    play(f"""
-        100 leg 1 start 90
-        300 {targets}
-        350 time → nothing
-        550 time → …; watchdog 1 stop; …""")
 
 
 def test_other_legs_do_not_feed_it() -> None:
@@ -106,6 +93,14 @@ def test_emergency_stops_are_numbered_and_a_reset_must_name_the_latest() -> None
 
 
 SCENES: Final = {
+    "any accepted command that starts or sets a servo of the leg feeds it": """
+        100 leg 1 start 90
+        300 leg 1 start 80
+        500 servo 12 set 80
+        700 legs 12 start 1
+        900 leg 1 stop | stop | set 80
+        1149 time → watchdog 2 stop; …
+        1150 time → watchdog 1 stop; …""",
     "a stop for one servo does not keep the others running": """
         100 leg 1 start 90
         200 servo 12 stop
