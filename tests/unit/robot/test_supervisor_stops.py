@@ -129,11 +129,6 @@ SCENES: Final = {
         says the emergency stop was engaged in the same instant
         instant 101.5
         102 reset → announce estop_reset; completed 2""",
-    "a stop that left ahead of its legs slot is not in the frame of that slot": """
-        100 leg 3 start 90
-        101 leg 3 set 85
-        102 leg 3 set 80 | stop | stop → command 32 stop; command 33 stop; completed 2 coalesced
-        122 time → command 31 set 80; completed 3""",
     "without an emergency stop no reset is too old": """
         1 reset 7 → completed 1
         2 unnumbered → completed 2""",
