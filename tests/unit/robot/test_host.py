@@ -97,15 +97,11 @@ def test_how_often_it_wants_to_hear(path: str, timeout_us: str, period_s: float 
 # ---- What is written to a disk is written aside, and the owner of the state learns of it
 
 
-def broken() -> None:
-    raise ZeroDivisionError
-
-
 async def test_a_mistake_of_our_own_ends_the_service() -> None:
     loop, learned = asyncio.get_running_loop(), asyncio.Future[str]()
     loop.set_exception_handler(lambda _, context: learned.set_result(context["message"]))
     disk = DiskWriter("disk", loop, Ownership())
-    disk.write(broken, lambda _: None)
+    disk.write(lambda: [0].remove(1), lambda _: None)  # raises ValueError
     assert await learned == "the thread disk failed"
     again = asyncio.Event()
     disk.write(lambda: None, lambda _: loop.call_soon_threadsafe(again.set))
