@@ -30,6 +30,8 @@ def test_a_second_program_moves_a_servo_no_faster_than_a_takeover_may() -> None:
 
 
 SCENES: Final = {
+    "also at the lowest speed": f"""{ANNAS.replace("18000", "1")}
+        205 servo 31 set 160 (source bert) → command 31 set 20; …""",
     "the same source leaps as ever": f"""{ANNAS}
         220 servo 31 set 160 (source anna) → command 31 set 160; …""",
     "a start soon behind a stop begins where the servo stands": f"""{ANNAS}
