@@ -56,6 +56,11 @@ SCENES: Final = {
         220 fail
         240 open
         270 leg 3 start 35 (source anna) → command 3 start 35; …""",
+    "switched off nothing of it happens": f"""rules takeover_cdeg_s=0
+        {HELD}
+        220 servo 31 set 160 (source bert) → command 31 set 160; …
+        240 leg 3 stop (source bert)
+        280 leg 3 start 35 (source bert) → command 3 start 35; …""",
     "a landing keeps a pace of its own": f"""
         rules takeover_cdeg_s=1000, landing_ms=500, landing_cdeg={{31: 9000}}
         {HELD}
