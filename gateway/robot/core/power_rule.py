@@ -7,6 +7,7 @@ power again, it would jump to its angle. While the board is silent, no servo is 
 from collections.abc import Collection, Mapping
 from typing import Any, Final
 
+from gateway.model.frames import legs_of
 from gateway.robot.core.events import Effect, PowerSeen
 from gateway.robot.core.interlock import Down, Halt, Interlock, Why
 from gateway.robot.core.leg import Rules
@@ -55,7 +56,7 @@ class PowerRule(Interlock[PowerSeen]):
         legs.fed = None if legs.fed is None else event.fed
         if not (legs.sends and event.alive):
             return []
-        lost = {each // 10 for each in (*event.lost, *self._refused) if legs.servos[each].will_run}
+        lost = legs_of(each for each in (*event.lost, *self._refused) if legs.servos[each].will_run)
         return [*self._stop(lost, "the power board does not feed it any more", now_ns), *legs.start_fed(now_ns)]
 
     def _stop(self, unfed: Collection[int], detail: str, now_ns: int) -> list[Effect]:

@@ -333,6 +333,7 @@ class Bus(Wire):
         found = next_on_the_way_back(self._awaited, stops)
         return None if found == ZERO else next(place for place in candidates if frames[place].data == found)
 
+    # mutants accepted (Step): fewer zeros than none are none
     def _call_zero(self, report: BatchReport, frames: Sequence[Frame]) -> None:
         """Write a zero. If none has passed for too long, write these Stops without zeros. Raises SpiError."""
         # If no transfer to the controller is known to be lost, it is most likely synchronised.
