@@ -8,12 +8,21 @@ import pytest
 
 from gateway.model.frames import stop_leg
 from gateway.robot.core import events
+from gateway.robot.runtime.executor import Outcome
+from gateway.robot.spi import Sent
 from schemas import keys
 from schemas.robot import LEGS, SERVO_IDS
-from schemas.telemetry import Kind, Mode, Reason
+from schemas.telemetry import Cause, Kind, Mode, Reason
 from tests.support.robot import LEG_1, LEG_3, START, Robot, leg, servo, started_and_quiet
 
 pytestmark = pytest.mark.virtual_time
+
+
+async def test_stops_count_that_have_the_cause_and_were_received() -> None:
+    sent = [Sent(0, 0, 0, received=received) for received in (True, False, True)]
+    causes = (Cause.ESTOP, Cause.ESTOP, Cause.REPEAT)
+    frames = [events.Transmit(stop_leg(1), cause) for cause in causes]
+    assert Outcome(written=list(zip(frames, sent, strict=True))).stop_frames(Cause.ESTOP) == 1
 
 
 async def test_a_reset_whose_step_cannot_write_repeated_stops_is_accepted() -> None:

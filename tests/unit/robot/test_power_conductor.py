@@ -143,6 +143,7 @@ async def test_an_emergency_stop_takes_all_supply_and_its_answer_waits_for_the_b
     await asyncio.sleep(UP_S)
     assert robot.line.fed() == frozenset(), "a start is needed"
     assert robot.state().mode is Mode.IDLE
+    assert robot.events(Kind.POWER_RESTORED) == []
     robot.put(LEG_3, START)
     await asyncio.sleep(0.6)
     assert Kind.POWER_RESTORED in [event.kind for event in robot.events()]
@@ -289,6 +290,15 @@ async def test_a_switch_that_has_melted_is_found_by_the_current_and_stops_the_wh
     for each in (31, 32):
         assert robot.ask(keys.servo_command(each), servo("start", 90)).reason is Reason.NO_POWER, "until a reset"
     assert robot.said[-1][1] == "shutdown"
+
+
+async def test_each_stopped_servo_that_draws_waits_for_a_reset_whatever_else_is_found() -> None:
+    supply = (await runs()).conductor.supply
+    assert supply is not None
+    supply._found = [(11, Kind.SERVO_SILENT, ""), (12, Kind.SERVO_DRAWS, ""), (21, Kind.SERVO_DRAWS, "")]
+    seen, announced = supply.take_news(())
+    assert [servo_id for servo_id, _ in seen.refused] == [12, 21]
+    assert len(announced) == 3
 
 
 async def test_telemetry_has_what_the_board_measures_of_a_robot_that_measures_nothing_itself() -> None:
