@@ -7,6 +7,7 @@ import pytest
 
 from gateway.errors import SpiError
 from gateway.model.frames import Framing, stop_leg
+from gateway.robot.core import events
 from gateway.robot.core.message import Verb
 from schemas import keys
 from schemas.robot import LEGS
@@ -80,6 +81,40 @@ async def test_an_emergency_stop_and_a_reset_of_one_instant_leave_it_engaged(eac
     robot.put_later(keys.RESET, {"estop": 1})
     robot.conductor.tick()
     assert robot.mode == Mode.ESTOPPED
+
+
+@pytest.mark.parametrize("ends", [False, True])
+async def test_in_a_bus_fault_an_emergency_stop_and_the_end_open_the_device_at_once(ends: bool) -> None:
+    robot = await started_and_quiet()
+    robot.controller.fail_where(lambda _: True)
+    robot.put(LEG_3, START)
+    await asyncio.sleep(0.3)
+    assert robot.mode == Mode.BUS_FAULT
+    robot.controller.fail_where(lambda _: False)
+    if ends:
+        assert robot.conductor.shut_down()
+    else:
+        assert robot.ask(keys.ESTOP).stop_frames == 6
+
+
+async def test_a_deadline_that_passes_in_a_tick_is_of_its_instant(monkeypatch: pytest.MonkeyPatch) -> None:
+    """So what the deadline stops is started by nothing that the same tick has taken."""
+    robot = await started_and_quiet()
+    robot.put(LEG_3, START)
+    robot.each_takes_ns = 130 * MS
+    for _ in range(3):
+        robot.put_later(LEG_1, START)
+    steps: list[tuple[type[events.Event], int | None]] = []
+    step = robot.conductor.supervisor.step
+
+    def noted(event: events.Event, now_ns: int, instant_ns: int | None = None) -> list[events.Effect]:
+        steps.append((type(event), instant_ns))
+        return step(event, now_ns, instant_ns)
+
+    monkeypatch.setattr(robot.conductor.supervisor, "step", noted)
+    robot.conductor.tick()
+    assert events.TimePassed in [kind for kind, _ in steps]
+    assert len({instant_ns for _, instant_ns in steps}) == 1
 
 
 @pytest.mark.parametrize("verb", [Verb.PUT, Verb.GET])
