@@ -33,7 +33,7 @@ SLOW_WATCHDOG = "[Service]\nWatchdogSec=0\n"
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """In which disks can be cut; with a short name, since a socket's has 107 bytes at most.
 
-    XFS copies a file as it is at one moment, also during a write: each write is in the copy, or is missing.
+    XFS copies a whole file at one instant, also during a write: the copy contains each write, or lacks it.
     """
     found = tmp_path_factory.mktemp("cut")
     room = found.with_name(f"{found.name}.xfs")

@@ -60,7 +60,7 @@ print("relays", flush=True)
 while True:
     threading.Thread(target=relay, args=listener.accept()[:1]).start()
 """
-"""Connects whoever comes to a Unix socket with the robot."""
+"""Connects each client of a Unix socket with the robot."""
 
 
 class RobotHost(Closing):

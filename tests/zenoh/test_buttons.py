@@ -71,7 +71,7 @@ def test_with_a_ca_the_name_is_proved_and_the_role_button_moves_nothing(tmp_path
             secured.client("kitchen") as kitchen,
             secured.client("anna") as anna,
             secured.client("otto") as otto,
-            kitchen.button("whoever") as button,
+            kitchen.button("somebody else") as button,
             anna.button() as hers,
         ):
             assert (button.name, hers.name) == ("kitchen", "anna"), "a certificate's person, whatever is asked for"
