@@ -192,8 +192,6 @@ class SpiSettings(Section):
 @dataclass(frozen=True)
 class ControllerSettings(Section):
     uart: str = _setting("/dev/ttyAMA1", "with `elkapod-2025`: the UART of start, shutdown and heartbeat", fault=_like(r"/[^\0]*", "write the path of a device, such as /dev/ttyAMA1"))
-    # At least five cycles: one answer may be lost, and one late.
-    silent_ms: float = _setting(300.0, "with `elkapod-2025`: silence of the controller that is a bus fault (Behaviour *The wire of elkapod-2025*)", (100, 2000))
 
 
 @dataclass(frozen=True)
@@ -295,6 +293,7 @@ REMOVED: Final[Mapping[Place, str]] = {
     ("spi", "resync_ms"): "was removed; length-prefixed framing synchronises a stream once a second",
     ("spi", "avoid_deg"): "was removed; it follows from the framing",
     ("controller", "cycle_hz"): "was removed; the controller's cycle is 50 Hz",
+    ("controller", "silent_ms"): "was removed; a controller is silent after 300 ms",
     ("lease", "takeover"): "was removed; everybody may take the lease, which stops all legs first",
     ("telemetry", "state_hz"): "was removed; the state is published ten times a second",
     ("telemetry", "rate_hz"): "was removed; telemetry is published ten times a second",

@@ -5,7 +5,6 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-from gateway.allowance import NS_PER_MS
 from gateway.host.descriptors import Spare
 from gateway.host.shared_page import SensedPage, ServoPage
 from gateway.model.protocols import FRAMED
@@ -43,8 +42,7 @@ def wire(settings: Settings, simulated: SimulatedParts) -> Wire:
     """Return the wire to the robot's controller, not yet open. A simulated controller keeps its state when reopened."""
     protocol, spi, spare = settings.wire.built_in, settings.spi, Spare()
     if protocol is not None and protocol is not FRAMED:
-        silent_ns, fed_singly = round(settings.controller.silent_ms * NS_PER_MS), bool(settings.power.interface)
-        cyclic = partial(CyclicBus, silent_ns=silent_ns, fed_singly=fed_singly)
+        cyclic = partial(CyclicBus, fed_singly=bool(settings.power.interface))
         if simulated.controller:
             from gateway.simulation.elkapod import SimulatedElkapod  # noqa: PLC0415  (first Stops need none)
 

@@ -41,7 +41,6 @@ class ElkapodRobot(Robot):
         self.cyclic = CyclicBus(
             lambda: self.elkapod,
             lambda: self.elkapod,
-            silent_ns=round(self.settings.controller.silent_ms * MS),
             fed_singly=bool(self.settings.power.interface),
             clock=self.now_ns,
         )

@@ -23,9 +23,7 @@ from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.guard import IllegalTransferError
 from gateway.simulation.controller import SimulatedController
 from schemas.robot import LEGS
-from schemas.telemetry import Kind
 from tests.support.controllers import Controller
-from tests.support.elkapod import elkapod
 from tests.support.robot import LEG_3, START, leg, started_and_quiet
 
 pytestmark = pytest.mark.virtual_time
@@ -173,13 +171,3 @@ def test_none_is_forgotten() -> None:
     shown = {*SHOWN_ELSEWHERE, *(setting for setting, _, _ in RULES)}
     for name in (f"{section}.{each}" for section, table in asdict(Settings()).items() for each in table):
         assert name.partition(".")[2] in shown_here or name in shown, f"nothing shows what {name} does"
-
-
-@pytest.mark.parametrize("silent_ms", [300, 1000])
-async def test_silent_ms(silent_ms: float) -> None:
-    robot = await elkapod(controller={"silent_ms": silent_ms})
-    robot.elkapod.silent = True
-    await asyncio.sleep(silent_ms / 1e3 - 0.1)
-    assert robot.events(Kind.CONTROLLER_SILENT) == []
-    await asyncio.sleep(0.2)
-    assert len(robot.events(Kind.CONTROLLER_SILENT)) == 1

@@ -18,10 +18,15 @@ from schemas.robot import SERVO_IDS
 
 START_CYCLES: Final = 2
 """Frames with a start's angles ahead of the UART's start, since the controller may still process an earlier frame."""
+SILENT_NS: Final = 300 * NS_PER_MS
+"""A controller is silent if no well-formed answer, or no heartbeat, comes for this long: 15 cycles, so that some may be
+lost or late. The robot team's driver misses a heartbeat after 100 ms."""
 FROZEN_NS: Final = 500 * NS_PER_MS
 """A controller is frozen if values that never rested stay equal for this long: a gyroscope's noise always changes."""
 _BEATS: Final = 9
 """Heartbeats from which their period is computed: one that is a cycle late changes it by an eighth of a cycle."""
+_POLL_NS: Final = SILENT_NS // 8
+_GAP_NS: Final = SILENT_NS // 3
 
 
 class Commanded:
@@ -124,12 +129,11 @@ class SignsOfLife:
 
     Also whether it may have restarted: after good ones, an answer was malformed or two heartbeats are missing. A
     heartbeat waits in the kernel, so a late poll still finds it; only if the whole machine was suspended it may be
-    lost. So a poll counts for an eighth of `silent_ns` at most, and a gap below a third of `silent_ns` does not count,
-    since a busy machine may delay heartbeats for this long.
+    lost. So a poll counts for _POLL_NS at most, and a gap below _GAP_NS does not count, since a busy machine may delay
+    heartbeats for this long.
     """
 
-    def __init__(self, silent_ns: int, begun_ns: int) -> None:
-        self._silent_ns = silent_ns
+    def __init__(self, begun_ns: int) -> None:
         self._begun_ns = begun_ns
         self._rest = b""
         self._polled_ns = begun_ns
@@ -148,16 +152,16 @@ class SignsOfLife:
         """Take the bytes that the UART has received since the last call."""
         count, self._rest = elkapod.heartbeats(self._rest + data)
         since_ns, self._polled_ns = now_ns - self._polled_ns, now_ns
-        poll_ns, beats_ns = self._silent_ns // 8, self._beats_ns
-        self._quiet_ns += min(since_ns, poll_ns)
+        beats_ns = self._beats_ns
+        self._quiet_ns += min(since_ns, _POLL_NS)
         if len(beats_ns) == _BEATS:
             two_and_a_half_ns = 5 * (beats_ns[-1] - beats_ns[0]) // (2 * (_BEATS - 1))
-            if self._quiet_ns >= max(two_and_a_half_ns, self._silent_ns // 3):
+            if self._quiet_ns >= max(two_and_a_half_ns, _GAP_NS):
                 self.restarted = "two of its heartbeats are missing"
         if not count:
             return
         self._quiet_ns, self._beat_ns = 0, now_ns
-        if since_ns > poll_ns:  # their times are not known
+        if since_ns > _POLL_NS:  # their times are not known
             beats_ns.clear()
             count = 1
         beats_ns.extend([now_ns] * count)
@@ -180,7 +184,7 @@ class SignsOfLife:
     def anew(self) -> "SignsOfLife":
         """Return the signs of the restarted controller, due at the times of the present ones."""
         newest = [ns for ns in (self.answered_ns, self._beat_ns) if ns is not None]
-        return SignsOfLife(self._silent_ns, min(newest, default=self._begun_ns))
+        return SignsOfLife(min(newest, default=self._begun_ns))
 
     def alive(self, now_ns: int) -> bool:
         """Return whether answers and heartbeats were received and neither is overdue."""
@@ -192,6 +196,6 @@ class SignsOfLife:
             ("well-formed answer", self.answered_ns, f" (the last one: {self._why})"),
             ("heartbeat", self._beat_ns, ""),
         ):
-            if now_ns - (self._begun_ns if newest_ns is None else newest_ns) >= self._silent_ns:
-                return f"no {sign} of the controller for {self._silent_ns // NS_PER_MS} ms{why}"
+            if now_ns - (self._begun_ns if newest_ns is None else newest_ns) >= SILENT_NS:
+                return f"no {sign} of the controller for {SILENT_NS // NS_PER_MS} ms{why}"
         return None

@@ -18,7 +18,7 @@ from gateway.errors import ControllerRestartedError, ControllerSilentError, SpiE
 from gateway.host import realtime
 from gateway.model.elkapod import Measured
 from gateway.model.frames import STOP_REPEAT_MS, STOP_REPEATS, Frame
-from gateway.robot.protocol.elkapod import Commanded, SignsOfLife
+from gateway.robot.protocol.elkapod import SILENT_NS, Commanded, SignsOfLife
 from gateway.robot.spi import BatchReport, DuplexDevice, Sent, Wire
 from gateway.robot.spi.uart import Uart
 
@@ -50,7 +50,6 @@ class CyclicBus(Wire):
         open_device: Callable[[], DuplexDevice] | None,
         open_uart: Callable[[], Uart],
         *,
-        silent_ns: int = 0,
         fed_singly: bool = False,
         clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
@@ -67,8 +66,7 @@ class CyclicBus(Wire):
         self._commanded = Commanded(fed_singly=fed_singly)
         self.ready_servos: Callable[[Mapping[int, int | None]], frozenset[int]] = self._commanded.prepare
         """Return those of these servos that a power board may power; see `Commanded.prepare`."""
-        self._silent_ns = silent_ns
-        self._signs = SignsOfLife(silent_ns, 0)
+        self._signs = SignsOfLife(0)
         self._silent: ControllerSilentError | None = None
         self._frames_ns = 0  # when frames begin
         self._checked_ns = 0  # when `silent` was last called
@@ -85,7 +83,7 @@ class CyclicBus(Wire):
             if self._device is None and self._open_device is not None:
                 self._device = self._open_device()
                 self._frames_ns = self._clock() + BEFORE_FRAMES_NS
-                self._signs = SignsOfLife(self._silent_ns, self._frames_ns)
+                self._signs = SignsOfLife(self._frames_ns)
         except SpiError:
             self.errors += 1
             raise
@@ -129,7 +127,7 @@ class CyclicBus(Wire):
         delayed, and answers may be unread, so the controller does not count as silent.
         """
         delayed_ns, self._checked_ns = now_ns - self._checked_ns, now_ns
-        if self._device is None or type(self._silent) is ControllerSilentError or delayed_ns >= self._silent_ns:
+        if self._device is None or type(self._silent) is ControllerSilentError or delayed_ns >= SILENT_NS:
             return None
         why = self._signs.silent(now_ns)
         return None if why is None else self._is_lost(ControllerSilentError(why))

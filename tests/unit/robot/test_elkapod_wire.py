@@ -21,7 +21,6 @@ from tests.support.elkapod import angles_of
 from tests.support.lines import play
 
 MS = 1_000_000
-SILENT_NS = 300 * MS
 AT_REST = Measured(31.5, 7.4, 80.0, (1, 0, 0, 0), (0, 0, 0), (0, 0, 9.81), (1, 2, 3, 4, 5, 6))
 STOPS = [stop_leg(leg) for leg in LEGS]
 
@@ -82,7 +81,7 @@ BAD = {
 
 @pytest.mark.parametrize("bad", BAD)
 def test_what_is_no_answer_is_none_and_says_why(bad: str) -> None:
-    signs = SignsOfLife(SILENT_NS, 0)
+    signs = SignsOfLife(0)
     assert answered(signs, 10 * MS) is not None
     for now_ms in range(20, 310, 20):
         signs.receive(elkapod.heartbeat(), now_ms * MS)
@@ -108,7 +107,7 @@ def noisy(cycles: int, first: int = 0) -> list[Measured]:
 
 def test_what_has_changed_and_then_does_not_for_half_a_second_is_frozen() -> None:
     """Also where the first answer came late."""
-    signs = SignsOfLife(SILENT_NS, 0)
+    signs = SignsOfLife(0)
     assert judged(signs, [*noisy(50), *noisy(1, 49) * 40], 1000) == [True] * 74 + [False] * 16
     why = "(the last one: it has not changed for 500 ms)"
     assert str(signs.silent(2800 * MS)).endswith(why)
@@ -119,7 +118,7 @@ def test_what_has_changed_and_then_does_not_for_half_a_second_is_frozen() -> Non
 @pytest.mark.parametrize("change", [{"temperature_c": 32.0}, {"feet": (1, 2, 3, 4, 5, 7)}], ids=["first", "last"])
 def test_each_value_is_evidence(change: dict[str, Any]) -> None:
     two = [AT_REST, AT_REST._replace(**change)]
-    assert judged(SignsOfLife(SILENT_NS, 0), [*two * 25, *two[1:] * 40]).count(False) == 16
+    assert judged(SignsOfLife(0), [*two * 25, *two[1:] * 40]).count(False) == 16
 
 
 QUIET = {
@@ -137,7 +136,7 @@ QUIET = {
 
 @pytest.mark.parametrize("quiet", QUIET)
 def test_a_robot_whose_values_rest_is_alive(quiet: str) -> None:
-    signs = SignsOfLife(SILENT_NS, 0)
+    signs = SignsOfLife(0)
     assert all(judged(signs, QUIET[quiet]))
     assert signs.restarted == ""
 
@@ -164,13 +163,13 @@ def beaten(
     ids=["none", "one", "each second one", "two", "a second"],
 )
 def test_two_missing_heartbeats_are_a_restart_and_one_is_none(without: Collection[int], *, restarted: bool) -> None:
-    signs = SignsOfLife(SILENT_NS, 0)
+    signs = SignsOfLife(0)
     beaten(signs, 2000, without=without)
     assert bool(signs.restarted) is restarted
 
 
 def test_a_gap_is_noticed_before_the_controller_counts_as_silent() -> None:
-    signs = SignsOfLife(SILENT_NS, 0)
+    signs = SignsOfLife(0)
     beaten(signs, 1100, without=range(1000, 2000))
     assert signs.restarted == ""
     beaten(signs, 1140, 1080, without=range(1000, 2000))
@@ -180,7 +179,7 @@ def test_a_gap_is_noticed_before_the_controller_counts_as_silent() -> None:
 @pytest.mark.parametrize("kept", [True, False], ids=["what came is read", "the whole machine stood still"])
 @pytest.mark.parametrize("paused_ms", [80, 150, 3000])
 def test_a_pause_of_ours_is_no_restart(paused_ms: int, *, kept: bool) -> None:
-    signs = SignsOfLife(SILENT_NS, 0)
+    signs = SignsOfLife(0)
     beaten(signs, 1010)
     now_ms = 1000 + paused_ms
     signs.receive(elkapod.heartbeat() * (paused_ms // 50 if kept else 0), now_ms * MS)
@@ -219,7 +218,6 @@ class Parts(Uart):
         self.bus = CyclicBus(
             self._open,
             self._open_uart,
-            silent_ns=SILENT_NS,
             clock=lambda: self.now_ns,
             **more,
         )

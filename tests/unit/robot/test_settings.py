@@ -298,7 +298,7 @@ def test_a_variable_of_the_wire_that_is_wrong_or_misnamed(file: Path, monkeypatc
     "text",
     [
         "x = 1\n[watchdog]\ntimeout_ms = 1\n",
-        "[controller]\nsilent_ms = 'x'\ny = 1\n",
+        "[lease]\nttl_ms = 'x'\ny = 1\n",
         "[safety]\nmax_tilt_deg = 45\n",
         "[power]\nconfirm_ms = 1\n",
         # of earlier versions
