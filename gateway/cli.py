@@ -42,6 +42,8 @@ _PANELS = {
     "Files": ("decode",),
 }
 """The groups of `--help`, the urgent commands first."""
+_PACKAGED = (Path(__file__).parents[1] / "units").is_dir()
+"""Whether this is the release of a Debian package: only that can be set up, so `setup` is its command alone."""
 
 
 class _Commands(TyperGroup):
@@ -49,10 +51,12 @@ class _Commands(TyperGroup):
 
     def list_commands(self, ctx: Any) -> list[str]:
         del ctx
-        return [name for names in _PANELS.values() for name in names]
+        return [name for names in _PANELS.values() for name in names if name in self.commands]
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         command: Any = super().get_command(ctx, cmd_name)
+        if command is None and cmd_name == "setup":
+            raise ConfigError("setup is a command of the Debian package: sudo apt install ./hexapod-gateway_….deb")
         for panel, names in _PANELS.items():
             if cmd_name in names:
                 command.rich_help_panel = panel
@@ -303,7 +307,8 @@ app.add_typer(certs.app, name="certs")
 app.add_typer(recorder.app)
 app.add_typer(incidents.app, name="incidents")
 app.add_typer(check_command.app)
-app.add_typer(setup_command.app)
+if _PACKAGED:
+    app.add_typer(setup_command.app)
 app.add_typer(walk.app)
 app.add_typer(bridge.app)
 

@@ -14,6 +14,7 @@ from typing import Any, Final
 import typer
 
 from gateway.cli import app
+from gateway.onboard import setup_command as setup
 from release.settings_page import ROOT, schema, settings_rows
 from schemas import __main__ as messages
 from schemas.telemetry import Cause, Kind, Mode, Reason, Value, WatchdogState
@@ -51,7 +52,8 @@ def tables() -> dict[str, str]:
     for words in _WORDS:
         found[f"### {words.__name__}"] = _table(("value", "meaning"), _words(words))
     found["## Settings"] = _table(("setting", "default", "range", "meaning"), settings_rows())
-    found["## Commands"] = _table(("command", "does", "options"), _commands(typer.main.get_command(app), []))
+    commands = (*_commands(typer.main.get_command(app), []), *_commands(typer.main.get_command(setup.app), ["setup"]))
+    found["## Commands"] = _table(("command", "does", "options"), commands)
     found["### Exit codes"] = _table(("code", "meaning"), _exit_codes())
     return found
 

@@ -10,7 +10,7 @@ import typer
 from gateway.errors import ConfigError
 from gateway.model.protocols import SpiProtocol
 
-app = typer.Typer()
+app = typer.Typer(add_completion=False)
 
 
 @app.command(

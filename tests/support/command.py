@@ -9,6 +9,7 @@ import shlex
 import signal
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from types import FrameType
 from typing import Any, NamedTuple, NoReturn
@@ -17,6 +18,7 @@ from unittest.mock import patch
 import typer
 
 from gateway import cli
+from gateway.onboard import setup_command
 
 
 class Ended(NamedTuple):
@@ -62,11 +64,19 @@ def _end(code: int) -> NoReturn:
     raise SystemExit(code)
 
 
-def parse(command: str, program: str = "hexapod-gateway") -> dict[str, Any]:
+@cache
+def program() -> Any:
+    """The program's commands, and the Debian package's `setup`."""
+    group: Any = typer.main.get_command(cli.app)
+    group.add_command(typer.main.get_command(setup_command.app), "setup")
+    return group
+
+
+def parse(command: str, called: str = "hexapod-gateway") -> dict[str, Any]:
     """What a command that was printed means: its arguments, as the program reads them. Raises click's UsageError."""
     name, found, *arguments = shlex.split(command.removeprefix("sudo "))
-    assert Path(name).absolute() == Path(program).absolute(), command
-    group: Any = typer.main.get_command(cli.app)
+    assert Path(name).absolute() == Path(called).absolute(), command
+    group = program()
     while hasattr(group.commands[found], "commands"):
         group, (found, *arguments) = group.commands[found], arguments
     return dict(group.commands[found].make_context(found, arguments).params)

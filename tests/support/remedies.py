@@ -3,13 +3,11 @@
 import ast
 import re
 from collections.abc import Callable
-from functools import cache
 from typing import Any
 
 import click
-import typer
 
-from gateway.cli import app
+from tests.support.command import program
 
 _COMMAND = re.compile(r"(?P<quoted>`?)hexapod-gateway (?P<rest>[^`→]*)")
 _OWN = re.compile(r"\{run\[([^]]*)\]\}")
@@ -52,14 +50,9 @@ def texts(source: str, shown: Callable[[ast.expr], str]) -> list[str]:
     return [" ".join(text.split()) for text in whole]
 
 
-@cache
-def _program() -> Any:
-    return typer.main.get_command(app)
-
-
 def _words(rest: str) -> list[str]:
     """The words up to where the sentence goes on."""
-    command = _program()
+    command = program()
     words: list[str] = []
     value, arguments = False, list[Any]()
     for each in rest.split():
@@ -81,7 +74,7 @@ def _words(rest: str) -> list[str]:
 
 
 def _parse(words: list[str]) -> None:
-    command = _program()
+    command = program()
     context = command.make_context("hexapod-gateway", words)
     while hasattr(command, "commands"):
         left = [*context._protected_args, *context.args]

@@ -10,12 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import typer.main
 
-from gateway import cli
 from gateway.people.commands.reach import me
 from schemas.telemetry import Cause, Kind, Mode
-from tests.support.command import run_here
+from tests.support.command import program, run_here
 from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import COMMAND, Gateway, free_port
 from tests.support.heard import events, frames
@@ -150,6 +148,7 @@ NOT_RUNNING = "servo_stopped: servo 41 does not run; start it before you set it"
         ("check --config . --zenoh-config .", 2, "name one of them"),
         ("check --unplug", 2, "--only, --restart and --unplug go with --stops"),
         ("frobnicate", 2, "No such command"),
+        ("setup --dry-run", 2, "setup is a command of the Debian package"),
         *((arguments, 4, "") for arguments in ("send leg 3 stop", "send servo 32 stop", "stop", "estop", "reset")),
         ("record no-gateway.mcap", 4, ""),
     ],
@@ -176,7 +175,7 @@ def helps(command: Any, above: str = "", name: str = "hexapod-gateway") -> Itera
 
 
 def test_help_teaches_every_option_and_the_exit_codes_once() -> None:
-    for name, text, parameters in helps(typer.main.get_command(cli.app)):
+    for name, text, parameters in helps(program()):
         assert "xit code" not in text, name
         assert all(each.help for each in parameters), name
     assert "Exit codes: 0 done" in run_here("--help").stdout

@@ -50,7 +50,7 @@ def test_make_run_keeps_an_incident_finds_a_port_and_ends_all(tmp_path: Path, mo
             lines = child.stdout.splitlines()
             assert [next(begin for begin in begins if line.startswith(begin)) for line in lines] == begins
             for line in lines[1:4]:
-                parse(line.partition(": ")[2], program=f"{sys.prefix}/bin/hexapod-gateway")
+                parse(line.partition(": ")[2], called=f"{sys.prefix}/bin/hexapod-gateway")
             with Client(endpoint, timeout_s=5) as client:
                 seen = frames(client)
                 assert client.start_leg(3, 90, 45, 120).accepted
