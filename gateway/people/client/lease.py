@@ -8,6 +8,7 @@ import re
 import threading
 import time
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, Protocol, Self
 
@@ -102,6 +103,8 @@ class Lease:
         self._giving = threading.RLock()
         """Held during a hand-over, whose answer alone decides who holds the lease."""
         self._asked_s = 0.0
+        self._answer: Future[LeaseAck] = Future()
+        """The answer to the latest request of `acquire`."""
         self._news = threading.Event()
         self._asked_by: str | None = None
         self._subscriber: Any = None
@@ -168,15 +171,16 @@ class Lease:
             ack = self._acquired()
             if not _TOKEN.fullmatch(ack.lease or ""):
                 raise LeaseError(Reason.LEASE_DENIED, "the reply has no token; is it a gateway's?", ack.holder)
+            self.holder, self.verified = ack.holder or self._client.name, bool(ack.verified)
+            with self._lock:
+                self.token = ack.lease
+                self._renewal.granted(ack.ttl_ms or TTL_MS, self._asked_s)
+            self._client.carry(self)
+            self._thread.start()
         except BaseException:
-            self._unsubscribe()
+            self._end(Holds.RELEASED)
+            self._give_back()
             raise
-        self.holder, self.verified = ack.holder or self._client.name, bool(ack.verified)
-        with self._lock:
-            self.token = ack.lease
-            self._renewal.granted(ack.ttl_ms or TTL_MS, self._asked_s)
-        self._client.carry(self)
-        self._thread.start()
 
     def release(self) -> None:
         """Give it back, if it is held. Without an answer it expires by itself. @private"""
@@ -269,8 +273,26 @@ class Lease:
         return ack
 
     def _request(self, do: str) -> "LeaseAck":
+        """Request `do` on a thread, which takes the answer even if a signal interrupts this call."""
         self._asked_s = time.monotonic()
-        return self._client.requests.as_person(do, self._source)
+        answer: Future[LeaseAck] = Future()
+        self._answer = answer
+
+        def ask() -> None:
+            try:
+                answer.set_result(self._client.requests.as_person(do, self._source))
+            except BaseException as error:
+                answer.set_exception(error)
+
+        threading.Thread(target=ask, name=f"{do} the lease").start()
+        return answer.result()
+
+    def _give_back(self) -> None:
+        """Release what the latest request is granted. Its token is known only from the answer, so wait for that."""
+        with suppress(GatewayError, TimeoutError):  # without an answer the lease expires by itself
+            token = "" if self._answer.exception(RELEASE_S) else self._answer.result().lease or ""
+            if _TOKEN.fullmatch(token):
+                self._client.requests.release(token, timeout_s=RELEASE_S)
 
     def _end(self, how: Holds) -> None:
         with self._lock:

@@ -2,6 +2,8 @@
 
 import datetime as dt
 import json
+import os
+import signal
 import threading
 import time
 from collections import deque
@@ -26,6 +28,7 @@ from gateway.people.client.requests import Identity
 from schemas.lease import LeaseAck
 from schemas.telemetry import Ack, Event, Kind, Reason
 from tests.support.published import event
+from tests.support.waiting import wait_until
 
 # ---- when it is renewed and when it counts as lost, in virtual time
 
@@ -259,6 +262,21 @@ def test_it_asks_waits_and_is_handed_it() -> None:
         assert time.monotonic() - begun_s >= 4 * TRY_AGAIN_S
         again = ["acquire", "ask", "acquire", "acquire", "ask", "acquire", "acquire"]
         assert [each for each in robot.asked if each != "renew"] == again
+
+
+def test_an_interruption_before_the_answer_gives_back_what_is_granted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else nobody can drive until it expires: nobody knows its token."""
+    robot = Robot(LASTING)
+
+    def interrupt_and_answer(do: str, source: str | None) -> LeaseAck:
+        os.kill(os.getpid(), signal.SIGINT)
+        wait_until(lambda: robot.hears is None, "the caller is interrupted")
+        return Robot.as_person(robot, do, source)
+
+    monkeypatch.setattr(robot, "as_person", interrupt_and_answer)
+    with pytest.raises(KeyboardInterrupt), lease_of(robot):
+        pytest.fail("the signal is lost")
+    assert (robot.asked, robot.carried_lease) == (["acquire", "release"], None)
 
 
 NO_TOKENS = (None, "", TOKEN[1:], TOKEN.upper(), TOKEN + "\n")
