@@ -159,7 +159,7 @@ class RobotReports:
         incident = self.recorder.event(what, source, left_out)
         extra = {
             "kind": kind, "source": source, "key": what.key, "reason": what.reason, "left_out": left_out or None,
-            "legs": list(what.legs) or None, "incident": incident,
+            "legs": ",".join(map(str, what.legs)) or None, "incident": incident,
         }  # fmt: skip
         logger.log(logging.INFO if kind in INFORMATIONAL else logging.WARNING, what.detail, extra=extra)
         event = telemetry.Event(
@@ -188,7 +188,7 @@ class RobotReports:
         if mode is not self.published_mode is not None:
             self.published_mode = mode
             self.recorder.mode(mode)
-            logger.info("mode %s", mode, extra={"mode": mode})
+            logger.info("mode %s", mode)
             self.publish()
 
     def publish(self) -> None:

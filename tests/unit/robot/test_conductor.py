@@ -1,6 +1,7 @@
 """Commands from a received message to frames, answers and reports, in virtual time."""
 
 import asyncio
+import logging
 from itertools import groupby, permutations
 from pathlib import Path
 
@@ -224,6 +225,16 @@ async def test_stops_leave_before_repeated_ones_and_these_before_what_moves() ->
     for order in permutations(effects):
         written = robot.conductor.executor.carry_out(order).written
         assert [transmit for transmit, _ in written] == effects
+
+
+async def test_the_log_says_nothing_twice_and_names_legs_as_a_person_does(caplog: pytest.LogCaptureFixture) -> None:
+    robot = await started_and_quiet()
+    with caplog.at_level(logging.INFO):
+        assert robot.ask(LEG_3, START).accepted
+        await asyncio.sleep(1)
+    lines = [(each.message, getattr(each, "mode", None), getattr(each, "legs", None)) for each in caplog.records]
+    silent = "no command for leg 3 in 250 ms; it is stopped"
+    assert lines == [("mode active", None, None), (silent, None, "3"), ("mode idle", None, None)]
 
 
 async def test_a_device_that_takes_no_lists_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
