@@ -118,9 +118,11 @@ class Conductor:
     def start(self) -> None:
         """Open the bus, write the preamble, stop all six legs. Raises SpiError if any of that fails."""
         self.bus.open()
-        fault = self.executor.carry_out(self.supervisor.step(BusOpened(), self.clock())).fault
-        if fault is not None:
-            raise fault
+        outcome = self.executor.carry_out(self.supervisor.step(BusOpened(), self.clock()))
+        if outcome.fault is not None:
+            raise outcome.fault
+        if outcome.meddled is not None:
+            self._meddled(outcome.meddled, None)
         self._check_stop_servos()
         self._arm()
 
@@ -200,8 +202,7 @@ class Conductor:
             self.bus_failed(silent)
         meddled = self.bus.put_right()
         if meddled is not None:
-            self.reports.announce(Announce(Kind.BUS_MEDDLED, meddled))
-            self._meddled(meddled)
+            self._meddled(meddled, None)
             return  # the check for `stop-servos` follows once the device is open again
         self._check_stop_servos()
 
@@ -322,10 +323,10 @@ class Conductor:
         """Let the supervisor take an event, and carry out its effects. `command` is the event's request, to record."""
         now_ns = self.clock() if now_ns is None else now_ns
         outcome = self.executor.carry_out(self.supervisor.step(event, now_ns, instant_ns), command)
-        if outcome.fault is not None:
+        if outcome.meddled is not None:
+            self._meddled(outcome.meddled, outcome.fault)
+        elif outcome.fault is not None:
             self.bus_failed(outcome.fault)
-        elif outcome.meddled is not None:
-            self._meddled(outcome.meddled)
         self._settle()
         return outcome
 
@@ -358,13 +359,17 @@ class Conductor:
             self._reopen_timer.set_in(REOPEN_S if again else 0)
         self._settle()
 
-    def _meddled(self, found: str) -> None:
-        """Treat changed device settings as a bus fault: the controller may not have understood the frames.
+    def _meddled(self, found: str, fault: SpiError | None) -> None:
+        """Report changed device settings, and handle a bus fault: the controller may not have understood the frames.
 
-        No fault is needed after an opening or at the end of the service. There, Stops for all legs have just been
-        written with the right settings, and at the end nothing would reopen the bus for their repeats.
+        `fault` is that of the step which found them. Without it, no fault is needed after a reopening or at the end of
+        the service. There, Stops for all legs have just been written with the right settings, and at the end nothing
+        would reopen the bus for their repeats.
         """
-        if not self._in_fault and self.supervisor.mode is not Mode.STOPPING:
+        self.reports.announce(Announce(Kind.BUS_MEDDLED, found))
+        if fault is not None:
+            self.bus_failed(fault)
+        elif not self._in_fault and self.supervisor.mode is not Mode.STOPPING:
             self.bus_failed(SpiError(found))
 
     def _reopen(self) -> None:  # mutants accepted (Forget): a line in the log

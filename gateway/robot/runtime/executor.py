@@ -138,8 +138,6 @@ class Executor:
         self.reports.recorder.step(command, outcome.written, outcome.results)
         for result in outcome.results:
             self._end(*result)
-        if outcome.meddled is not None:
-            self.reports.announce(Announce(Kind.BUS_MEDDLED, outcome.meddled))
         for effect in effects:
             if type(effect) is Announce and (outcome.fault is None or effect.kind not in _RECOVERED):
                 self.reports.announce(effect)

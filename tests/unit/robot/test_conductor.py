@@ -2,6 +2,7 @@
 
 import asyncio
 import logging
+from collections.abc import Callable
 from itertools import groupby, permutations
 from pathlib import Path
 
@@ -123,20 +124,31 @@ async def meddled(monkeypatch: pytest.MonkeyPatch) -> tuple[Robot, list[str]]:
     return robot, found
 
 
-async def test_the_look_ten_times_a_second_publishes_it_and_stops_all_legs(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("find", [lambda robot: robot.conductor.check_outside(), lambda robot: robot.put(LEG_1, START)])
+async def test_what_finds_it_publishes_it_and_stops_all_legs(
+    monkeypatch: pytest.MonkeyPatch, find: Callable[[Robot], None]
+) -> None:
     robot, _ = await meddled(monkeypatch)
-    robot.conductor.check_outside()
+    find(robot)
     assert [state.mode for state in robot.states] == [Mode.BUS_FAULT], "at once"
     await asyncio.sleep(0.001)
     assert [frame for _, frame in robot.frames] == ALL_STOPS
     assert robot.controller.energised == set()
-    assert [event.detail for event in robot.events()][:2] == ["mode 3"] * 2
     assert kinds(robot) == CYCLE
+    assert [event.detail for event in robot.events(Kind.BUS_MEDDLED)] == ["mode 3"]
     assert robot.ask(LEG_3, leg("set", 91, 91, 91)).reason is Reason.SERVO_STOPPED
     for _ in range(3):
         robot.conductor.check_outside()
     assert robot.ask(LEG_3, START).accepted
     assert kinds(robot) == CYCLE
+
+
+async def test_a_start_that_finds_it_publishes_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    await asyncio.sleep(1)  # after a pause, as at each start
+    robot = Robot()
+    monkeypatch.setattr(robot.controller, "put_right", lambda: "mode 3")
+    robot.conductor.start()
+    assert kinds(robot) == CYCLE[:2]
 
 
 async def test_at_the_end_the_stops_and_their_repeats_leave(monkeypatch: pytest.MonkeyPatch) -> None:
