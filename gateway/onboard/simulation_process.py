@@ -22,6 +22,7 @@ from gateway.host.shared_page import SensedPage, ServoPage
 from gateway.own_command import install
 from gateway.people.physics.assumed import Assumed
 from gateway.people.terminal import hint
+from gateway.robot.host.systemd import VARIABLES
 from gateway.simulation import body as simulated_body
 
 START_S: Final = 30.0
@@ -48,7 +49,8 @@ class SimulationProcess:
         its_end, self._lifeline = os.pipe()
         words, its_words = os.pipe()
         command = [sys.executable, "-m", module, json.dumps({**options, **pages, "folder": str(folder)})]
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}  # an isolated Python has set its own
+        environment = {name: value for name, value in os.environ.items() if name not in VARIABLES}
+        environment["PYTHONPATH"] = os.pathsep.join(sys.path)  # an isolated Python has set its own
         self._process = subprocess.Popen(
             command, stdin=its_end, stdout=its_words, pass_fds=tuple(pages.values()), env=environment
         )

@@ -16,7 +16,9 @@ import pytest
 
 from gateway import certs
 from gateway.client import Client
+from gateway.onboard.simulation_process import BoardProcess
 from gateway.people.commands.status import topics
+from gateway.robot.host.systemd import VARIABLES
 from schemas import keys
 from tests.support.child import Child, frozen
 from tests.support.gateway_process import READY, Gateway, free_port, write_settings
@@ -173,6 +175,14 @@ def test_a_start_that_time_may_cure_pauses_under_systemd_alone(tmp_path: Path, s
         gateway.child.wait_for_output("/dev/spidev9.9 does not exist")
         gateway.child.terminate()
         assert gateway.child.wait() == -signal.SIGTERM
+
+
+def test_a_simulating_process_cannot_notify_in_the_services_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in VARIABLES:
+        monkeypatch.setenv(name, "1")
+    with BoardProcess((11,), None, None) as board:
+        environment = Path(f"/proc/{board._process.pid}/environ").read_text()
+    assert not [name for name in VARIABLES if name in environment]
 
 
 def test_a_router_that_is_waited_for_holds_neither_stops_nor_the_end(tmp_path: Path) -> None:

@@ -8,6 +8,8 @@ from contextlib import suppress
 from typing import Final
 
 NOTIFY_SOCKET: Final = "NOTIFY_SOCKET"
+VARIABLES: Final = (NOTIFY_SOCKET, "WATCHDOG_USEC", "WATCHDOG_PID")
+"""What a child must not inherit, or it could notify in this process's name."""
 PINGS_PER_TIMEOUT = 4
 """More than one, so that a late or lost ping does not kill a working service."""
 
@@ -21,7 +23,10 @@ ANEW_S: Final = 20.0
 
 
 class SystemdNotifier:
-    """systemd's notification socket, from `NOTIFY_SOCKET`, and its watchdog's period, from `WATCHDOG_USEC`."""
+    """systemd's notification socket, from `NOTIFY_SOCKET`, and its watchdog's period, from `WATCHDOG_USEC`.
+
+    A `WATCHDOG_PID` of another process means that its watchdog was inherited (sd_watchdog_enabled(3)).
+    """
 
     def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
         path = environment.get(NOTIFY_SOCKET, "")
@@ -30,7 +35,8 @@ class SystemdNotifier:
         if path:
             self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
             self._socket.setblocking(False)  # the loop must not wait for systemd to read
-        self._timeout_us = int(environment.get("WATCHDOG_USEC", 0)) if path else 0
+        watched = path and environment.get("WATCHDOG_PID") in (None, str(os.getpid()))
+        self._timeout_us = int(environment.get("WATCHDOG_USEC", 0)) if watched else 0
         """systemd's watchdog period; 0: there is no watchdog."""
         self.ping_period_s: Final = self._timeout_us / 1e6 / PINGS_PER_TIMEOUT if self._timeout_us else None
         """How often to call `alive`: a quarter of systemd's watchdog period. None: there is no watchdog."""

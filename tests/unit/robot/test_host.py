@@ -2,6 +2,7 @@
 
 import asyncio
 import logging
+import os
 import signal
 import socket
 import sys
@@ -69,11 +70,13 @@ def notifier(**environment: str) -> Iterator[SystemdNotifier]:
         yield made
 
 
-def test_what_is_told_and_a_manager_that_does_not_read_holds_nobody_up(tmp_path: Path) -> None:
+@pytest.mark.parametrize("begins", ["", "@"], ids=["a file", "an abstract name"])
+def test_what_is_told_and_a_manager_that_does_not_read_holds_nobody_up(tmp_path: Path, begins: str) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
-        listener.bind(str(tmp_path / "notify"))
+        path = begins + str(tmp_path / "notify")
+        listener.bind(path.replace("@", "\0"))
         listener.settimeout(5)
-        with notifier(NOTIFY_SOCKET=listener.getsockname()) as made:
+        with notifier(NOTIFY_SOCKET=path) as made:
             made.ready("takes commands")
             made.stopping()
             for _ in range(10_000):
@@ -83,11 +86,17 @@ def test_what_is_told_and_a_manager_that_does_not_read_holds_nobody_up(tmp_path:
 
 
 @pytest.mark.parametrize(
-    ("path", "timeout_us", "period_s"),
-    [("/nowhere", "2000000", 2 / PINGS_PER_TIMEOUT), ("/nowhere", "0", None), ("", "2000000", None)],
+    ("path", "timeout_us", "pid", "period_s"),
+    [
+        ("/nowhere", "2000000", {}, 2 / PINGS_PER_TIMEOUT),
+        ("/nowhere", "2000000", {"WATCHDOG_PID": str(os.getpid())}, 2 / PINGS_PER_TIMEOUT),
+        ("/nowhere", "2000000", {"WATCHDOG_PID": str(os.getppid())}, None),
+        ("/nowhere", "0", {}, None),
+        ("", "2000000", {}, None),
+    ],
 )
-def test_how_often_it_wants_to_hear(path: str, timeout_us: str, period_s: float | None) -> None:
-    with notifier(NOTIFY_SOCKET=path, WATCHDOG_USEC=timeout_us) as made:
+def test_how_often_it_wants_to_hear(path: str, timeout_us: str, pid: dict[str, str], period_s: float | None) -> None:
+    with notifier(NOTIFY_SOCKET=path, WATCHDOG_USEC=timeout_us, **pid) as made:
         assert made.ping_period_s == period_s
         if period_s is None:
             made.alive()
