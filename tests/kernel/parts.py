@@ -14,6 +14,9 @@ LIBRARIES: Final = ("usr/lib/x86_64-linux-gnu", "lib/x86_64-linux-gnu")
 _WANTED: Final = ("qemu-system-x86", "seabios", "busybox-static", "linux-headers-amd64")
 _LEFT_OUT: Final = re.compile(r"systemd|udev|linux-(perf|libc-dev|compiler|headers-amd64)|ipxe")
 """What apt would also install or upgrade, and a machine without a network or a console does without."""
+_OUR_OWN: Final = re.compile(r"^Inst ((?:qemu|seabios|busybox|linux-(?:headers|kbuild))\S*)", re.MULTILINE)
+"""Unpacked even if installed: QEMU loads its modules and firmware from beside its program, and headers belong to one
+kernel. Installed libraries are found where they are."""
 
 
 class PartsError(Exception):
@@ -55,13 +58,13 @@ def prepare(cache: Path = CACHE) -> Parts:
 
 
 def _download(folder: Path) -> list[Path]:
-    """The packages that this machine lacks, by apt's own knowledge and with its signatures."""
+    """The packages that this machine lacks, and our own, by apt's own knowledge and with its signatures."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    planned = _run("apt-get", "--simulate", "--no-install-recommends", "install", *_WANTED)
-    names = [line.split()[1] for line in planned.splitlines() if line.startswith("Inst ")]
-    here = [name for name in _WANTED if name not in names]
-    names = [name for name in (*names, *here) if not _LEFT_OUT.search(name)]
+    plan = ("--simulate", "--no-install-recommends", "install", *_WANTED)
+    lacking = re.findall(r"^Inst (\S+)", _run("apt-get", *plan), re.MULTILINE)
+    ours = _OUR_OWN.findall(_run("apt-get", "--option", "Dir::State::status=/dev/null", *plan))  # as if bare
+    names = [name for name in (*lacking, *ours) if not _LEFT_OUT.search(name)]
     image = re.search(r"Depends: (linux-image-\S+)", _run("apt-cache", "depends", "linux-image-amd64"))
     if image is None:
         raise PartsError("apt knows no linux-image-amd64; apt-get update?")
