@@ -50,8 +50,8 @@ class BoardBus(can.BusABC):
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         assert timeout
         self.tries += 1
-        if self.fails is not None:
-            raise self.fails
+        if (fails := self.fails) is not None:  # another thread may change it now
+            raise fails
         frame = CanFrame(msg.arbitration_id, bytes(msg.data))
         self.sent.append(frame)
         self.hangs.wait()

@@ -1,6 +1,5 @@
 """Programs that hold the lease, on a real gateway: what their commands carry, how it ends, and whom they stop."""
 
-import time
 from functools import partial
 
 import pytest
@@ -12,9 +11,9 @@ from schemas.telemetry import Cause, Kind, Reason
 from tests.support.fixtures import client_fixture, gateway_fixture, patient
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events, frames, is_stop, running
+from tests.support.waiting import wait_until
 
 POSE = (90, 45, 120)
-LATE_S = 10
 
 # For setpoints every 20 ms, on a machine that may be busy for longer than the watchdog's 250.
 gateway = gateway_fixture(patient(1000, telemetry={"frames": True}))
@@ -33,9 +32,7 @@ def test_a_stop_carries_no_token(anna: Client, bert: Client) -> None:
     declared = [bert.session.declare_queryable(key, hear) for key in wanted]
     bert.state()
     with anna.lease():
-        give_up_s = time.monotonic() + LATE_S
-        while keys.leg_command(1) not in asked and time.monotonic() < give_up_s:  # until she knows who listens
-            assert anna.start_leg(1, *POSE).accepted
+        wait_until(lambda: anna.start_leg(1, *POSE).accepted and keys.leg_command(1) in asked, "she knows who listens")
         assert b'"lease"' in asked.pop(keys.leg_command(1))
         for stop in (anna.stop, partial(anna.stop, 1), partial(anna.servo, 21, "stop"), anna.estop):
             assert stop().accepted

@@ -2,7 +2,6 @@
 
 import asyncio
 import os
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Final
@@ -24,6 +23,7 @@ from schemas.telemetry import Mode
 from tests.support.full_disk import disk_that_takes
 from tests.support.ring import parse
 from tests.support.robot import LEG_3, Robot, leg, servo
+from tests.support.waiting import wait_until
 from tests.unit.people.test_recorder import contents, recorded
 
 SLOTS: Final = 160
@@ -54,9 +54,7 @@ def beat(robot: Robot) -> None:
 def copied(folder: Path, count: int) -> list[Path]:
     """So many copies, once the thread has made them."""
     ring = (folder / RING_FILE).resolve()
-    until = time.monotonic() + 10
-    while len(copies_of(ring)) < count and time.monotonic() < until:
-        time.sleep(0.001)
+    wait_until(lambda: len(copies_of(ring)) >= count)
     return copies_of(ring)
 
 

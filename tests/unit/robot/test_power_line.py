@@ -20,6 +20,7 @@ from schemas.robot import SERVO_IDS
 from schemas.telemetry import Kind
 from tests.support.board_bus import BoardBus
 from tests.support.slcan_adapter import Adapter
+from tests.support.waiting import wait_until
 
 ALL_SERVOS = frozenset(SERVO_IDS)
 MOST_S = 20
@@ -39,6 +40,8 @@ class Owner:
 
         self.news: list[News | Confirmed] = []
         self.mistakes: list[Exception] = []
+        self.was_alive = False
+        """Whether the board was alive once. A single answer does not last until a busy machine runs the test again."""
         self._something = threading.Condition()
         self.line = PowerLine(settings, self.mistakes.append, opener=opener if buses else open_bus)
         self.line.on_news = self._reported
@@ -46,6 +49,7 @@ class Owner:
     def _reported(self, news: list[News | Confirmed]) -> None:
         with self._something:
             self.news += news
+            self.was_alive |= self.line.status.alive
             self._something.notify_all()
 
     def until(self, done: Callable[[], bool]) -> None:
@@ -146,7 +150,7 @@ def test_error_frames_and_our_own_echo_are_no_answers(bus: BoardBus) -> None:
     bus.answer(0x6A, bytes(3), is_rx=False)
     bus.answer(0x97)
     owner.line.start()
-    owner.until(lambda: owner.line.status.alive)
+    owner.until(lambda: owner.was_alive)
     assert not owner.reported("power_fault", "off_button")
     owner.line.close()
 
@@ -164,13 +168,12 @@ def test_on_socketcan_what_another_program_on_this_computer_sends_is_no_echo(bus
     "fault", [can.CanOperationError("No buffer space available"), RuntimeError("an exception of its own")]
 )
 def test_an_interface_that_fails_is_closed_and_opened_again_and_the_mask_leaves_again(fault: Exception) -> None:
-    first, second = BoardBus(silent=True), BoardBus(silent=True)
+    first, second = BoardBus(silent=True), BoardBus()
     owner = started(first, second)
     first.fails = fault
     owner.line.cut()
     assert str(fault) in owner.until_reported(Kind.POWER_UNCONFIRMED).detail
     assert first.closed.wait(MOST_S)
-    second.answer(0x69)
     owner.until(lambda: owner.line.status.alive)
     owner.line.close()
     assert CanFrame(0x6A, bytes(3)) in second.sent
@@ -186,9 +189,7 @@ def test_an_interface_that_hangs_at_its_end_keeps_the_receiver_from_nothing(bus:
     owner.line.cut()
     assert bus.closed.wait(MOST_S)
     closed_ns = time.monotonic_ns()
-    while owner.line.polled_ns < closed_ns:
-        assert time.monotonic_ns() - closed_ns < MOST_S * 1e9
-        time.sleep(0.001)
+    wait_until(lambda: owner.line.polled_ns >= closed_ns)
     bus.hangs.set()
     owner.line.close()
 
@@ -199,16 +200,14 @@ def test_a_full_transmit_queue_ends_nothing_and_the_mask_of_a_stop_leaves_first_
     owner = Owner(bus)
     bus.answer(0x97)
     owner.line.start()
-    owner.until(lambda: owner.line.status.alive)
+    owner.until(lambda: owner.was_alive)
     bus.fails = can.CanOperationError("Failed to transmit: No buffer space available", errno.ENOBUFS)
     owner.line.cut()
     tried = bus.tries
-    while bus.tries < tried + 3:
-        time.sleep(0.001)
+    wait_until(lambda: bus.tries >= tried + 3)
     sent = len(bus.sent)
     bus.fails = None
-    while len(bus.sent) == sent:
-        time.sleep(0.001)
+    wait_until(lambda: len(bus.sent) > sent)
     assert bus.sent[sent] == CanFrame(0x6A, bytes(3))
     assert not bus.closed.is_set()
     owner.line.close()
@@ -233,8 +232,7 @@ def test_a_mistake_in_the_gateway_is_reported(bus: BoardBus) -> None:
     bus.answer(0x97)
     owner.line.on_news = lambda _: 1 / 0  # type: ignore[assignment]
     owner.line.start()
-    while not owner.mistakes:
-        time.sleep(0.001)
+    wait_until(lambda: bool(owner.mistakes))
     owner.line.close()
     assert isinstance(owner.mistakes[0], ZeroDivisionError)
 
