@@ -22,6 +22,7 @@ from gateway.robot.host.systemd import VARIABLES
 from schemas import keys
 from tests.support.child import Child, frozen
 from tests.support.gateway_process import READY, Gateway, free_port, write_settings
+from tests.support.heard import frames
 
 
 def test_it_says_that_it_is_ready_where_and_what_to_try_and_its_token_that_it_lives(tmp_path: Path) -> None:
@@ -41,19 +42,24 @@ def test_it_says_that_it_is_ready_where_and_what_to_try_and_its_token_that_it_li
         del subscriber
 
 
-def test_a_frozen_peer_does_not_hold_the_end(tmp_path: Path) -> None:
+def test_a_frozen_peer_holds_neither_an_answer_nor_the_end(tmp_path: Path) -> None:
+    """Here Zenoh waits for a full link for longer than a client waits for its answer, and a link is full soon."""
     publisher = (
         "import sys, time\n"
         "from gateway.zenoh_config import client_config, open_session\n"
         "config = client_config(sys.argv[1])\n"
         "config.insert_json5('transport/link/tx/lease', '600000')\n"  # so Zenoh does not give it up before the end
+        "config.insert_json5('transport/link/tcp/so_rcvbuf', '4096')\n"
         "session = open_session(config)\n"
         "heard = session.declare_subscriber('hexapod/frame', lambda frame: None)\n"
         "list(session.get('hexapod/state'))\n"
         "print('listening', flush=True)\n"
         "time.sleep(600)\n"
     )
+    file, wait = tmp_path / "zenoh.json5", {"congestion_control": {"drop": {"wait_before_drop": 60_000_000}}}
+    file.write_text(json.dumps({"transport": {"link": {"tcp": {"so_sndbuf": 4096}, "tx": {"queue": wait}}}}))
     settings: dict[str, dict[str, Any]] = {"telemetry": {"frames": True}, "limits": {"leg_rate_hz": 1000}}
+    settings["zenoh"] = {"config": str(file)}
     with (
         Gateway(tmp_path, settings) as gateway,
         Child([sys.executable, "-c", publisher, gateway.endpoint], os.environ) as peer,
@@ -61,14 +67,15 @@ def test_a_frozen_peer_does_not_hold_the_end(tmp_path: Path) -> None:
         peer.wait_for_output("listening")
         with frozen(peer.pid):
             with gateway.client() as client:
-                # Until the frozen one's queues are full: then closing takes Zenoh ten seconds.
+                published = frames(client)
                 client.start_leg(1, 90, 45, 120)
                 written = 0
-                while written < 2000:
+                while written < 1000:
                     ack = client.set_leg(1, 90, 45, 120, check=False)
                     written += ack.accepted and not ack.coalesced
                     if not ack.accepted:  # the watchdog, on a busy machine
                         client.start_leg(1, 90, 45, 120, check=False)
+                assert 0 < len(published.all) < written, "the frozen one's link is full"
             gateway.child.terminate()
             assert gateway.child.wait() == 0
         assert "ending without waiting for it" in gateway.child.stderr
