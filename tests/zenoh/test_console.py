@@ -180,6 +180,16 @@ def test_it_waits_for_a_gateway(tmp_path: Path) -> None:
             page.wait("link", lambda message: message["status"] == "gone")
 
 
+def test_its_end_gives_back_a_lease_that_is_granted_meanwhile(gateway: Gateway, tmp_path: Path) -> None:
+    with Console(tmp_path, "--connect", gateway.endpoint) as own, own.page(own.sign_in()) as page:
+        page.state()
+        page.send(type="lease", id=1, do="acquire")
+        own.child.terminate()
+        own.child.wait()
+    with gateway.client() as client:
+        assert client.state().lease.holder is None
+
+
 # ---- on TLS, at a gateway with certificates
 
 

@@ -80,10 +80,12 @@ class Console:
         return websocket
 
     async def close(self) -> None:
-        """Close all pages. None is waited for longer than a second (`WebSocket.end`)."""
+        """Close all pages, and release their leases. No page is waited for longer than a second (`WebSocket.end`)."""
+        pages = [*self._pages]
         why = WSCloseCode.SERVICE_RESTART, "the console ends"
         ends = [websocket.end(*why) for websocket in self._open if websocket.prepared]
         await asyncio.gather(*ends, return_exceptions=True)
+        await asyncio.gather(*(page.release() for page in pages))
 
     async def _serve_page(self, websocket: WebSocket, session: Entry, tab: str) -> None:
         """`tab`: the browser's, by a name that it gave itself: the same after a reload. Empty: it gave none."""

@@ -42,6 +42,11 @@ class PageTasks:
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
+    async def ended(self, timeout_s: float) -> None:
+        """Wait until those of now have ended, for `timeout_s` at most."""
+        if self._tasks:
+            await asyncio.wait(self._tasks, timeout=timeout_s)
+
     async def _run(self, work: Coroutine[Any, Any, None]) -> None:
         async with self._turn:
             await work

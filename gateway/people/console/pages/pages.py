@@ -12,7 +12,7 @@ import math
 import re
 import time
 from collections import deque
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterator
 from contextlib import suppress
 from datetime import UTC, datetime
 from functools import partial
@@ -26,6 +26,7 @@ from gateway.errors import GatewayError
 from gateway.model.staleness import Staleness
 from gateway.people.client.confirmed_stop import Press
 from gateway.people.client.dangers import PowerAlarm, power_now
+from gateway.people.client.lease import RELEASE_S
 from gateway.people.client.live import Receiver
 from gateway.people.console.link import Shared
 from gateway.people.console.pages import page_messages as messages
@@ -85,6 +86,9 @@ class Pages(Receiver):
         self._link = messages.link_message("gone")
         self._events: deque[messages.Message] = deque(maxlen=PAST_EVENTS)
         self._telemetry = Allowance(TELEMETRY_HZ, TELEMETRY_AT_ONCE)
+
+    def __iter__(self) -> Iterator["Page"]:
+        return iter(self._pages)
 
     def __len__(self) -> int:
         return len(self._pages)
@@ -240,6 +244,11 @@ class Page:
         over = asyncio.Event()
         self._walks.when_over(over.set, sits=True)
         await over.wait()
+
+    async def release(self) -> None:
+        """Release the lease, also one that the gateway is granting now. Takes `RELEASE_S` at most."""
+        self._lease.close()
+        await self._lease.tasks.ended(RELEASE_S)
 
     def close(self) -> None:
         """The WebSocket is closed. A stop that it requested goes on; the lease is released after the walk, unless the
