@@ -1,6 +1,7 @@
 """The asyncio client: the same names, on a loop that never waits; cancelled at any point, the robot is stopped."""
 
 import asyncio
+import gc
 import inspect
 import re
 import threading
@@ -22,7 +23,9 @@ from gateway.client import (
     StoppedError,
     Stream,
     Walk,
+    ZenohError,
 )
+from gateway.people.client.aio import Calls
 from schemas import keys
 from schemas.calibration import ServoChange
 from schemas.telemetry import Event, Kind, Mode, Reason
@@ -182,6 +185,30 @@ async def test_cancelled_anywhere_it_leaves_nothing_running(gateway: Gateway, ro
         while await running(robot):
             pass
     assert (await robot.state()).watchdog.expirations == expirations, "the stream's own Stop has stopped it"
+
+
+async def test_a_call_that_fails_after_its_cancellation_prints_nothing() -> None:
+    cancelled, said, calls = threading.Event(), list[str](), Calls()
+
+    def fail() -> None:
+        cancelled.wait(10)
+        raise StoppedError("the watchdog stopped leg 1", [1])
+
+    asyncio.get_running_loop().set_exception_handler(lambda _, context: said.append(context["message"]))
+    task = asyncio.create_task(calls.run(fail))
+    await asyncio.sleep(0)
+    task.cancel()
+    await asyncio.wait([task])
+    cancelled.set()
+    await asyncio.to_thread(calls.wait_for_stops, lambda: None)
+    del task
+    gc.collect()
+    assert said == []
+
+
+async def test_a_client_that_is_not_open_states_what_to_do() -> None:
+    with pytest.raises(ZenohError, match="use it in an `async with`"):
+        await AsyncClient().state()
 
 
 async def test_a_stop_does_not_wait_behind_questions_and_closing_waits_for_it(gateway: Gateway) -> None:
