@@ -15,7 +15,7 @@ from gateway.people.recorder.incidents import Incident, find, time_of
 from gateway.people.recorder.messages import messages
 from gateway.people.recorder.ring_reader import Records
 from gateway.people.recorder.story import headline, story
-from gateway.people.terminal import hint, say
+from gateway.people.terminal import say
 from gateway.robot.blackbox import ring as rings
 from gateway.robot.settings import Settings
 
@@ -75,21 +75,23 @@ def _folder(settings: Settings) -> Path:
 
 
 def _read(settings: Settings) -> Records:
-    """Return all records, none without a ring. Raises ConfigError if the black box is off or belongs to others."""
+    """Return all records, none without a ring. Raises ConfigError if the black box is off or cannot be read."""
     try:
         return ring_reader.read(_folder(settings) / RING_FILE)
     except ring_reader.NoRingError as error:
-        if isinstance(error.__cause__, PermissionError):  # "no incidents" would not be true
-            raise ConfigError(f"{error}; only the gateway's own user may read its black box, or root: sudo") from error
-        if not isinstance(error.__cause__, FileNotFoundError):
-            hint(f"hexapod-gateway: {error}")
-        return Records({}, written=False)
+        if isinstance(error.__cause__, FileNotFoundError):
+            return Records({}, written=False)
+        sudo = "; only the gateway's own user may read its black box, or root: sudo"
+        raise ConfigError(f"{error}{sudo if isinstance(error.__cause__, PermissionError) else ''}") from error
 
 
 def _one(settings: Settings, name: str) -> tuple[Incident, Records]:
     """Return the incident with this id, the newest for `last`, and all records. Raises GatewayError."""
     records = _read(settings)
-    for found in reversed(find(records)):
+    incidents = find(records)
+    for found in reversed(incidents):
         if name in (LAST, found.name):
             return found, records
+    if not incidents:
+        raise GatewayError(f"there are no incidents in {_folder(settings)}")
     raise GatewayError(f"there is no incident {name!r} in {_folder(settings)}: `incidents list` shows all")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.errors import ConfigError
+from gateway.errors import ConfigError, GatewayError
 from gateway.model import black_box as form
 from gateway.model.black_box import RING_FILE
 from gateway.onboard import black_box
@@ -88,10 +88,18 @@ def test_a_ring_that_somebody_else_has_made_is_not_shown(
     black_box.list_all(settings(folder))
     assert NAME in capsys.readouterr().out, "root reads the ring of the link's own user"
     spoil(ring_at)
-    black_box.list_all(settings(folder))
-    said = capsys.readouterr()
-    assert NAME not in said.out
-    assert "another user has made this file, or may write to it" in said.err
+    with pytest.raises(ConfigError, match="another user has made this file, or may write to it"):
+        black_box.list_all(settings(folder))
+
+
+def test_a_damaged_ring_is_not_taken_for_an_empty_one(folder: Path, ring_at: Path) -> None:
+    ring_at.write_bytes(b"")
+    for call in (black_box.list_all, lambda found: black_box.show(found, "last")):
+        with pytest.raises(ConfigError, match="it is no black box of this version"):
+            call(settings(folder))
+    ring_at.unlink()
+    with pytest.raises(GatewayError, match="no incidents in"):
+        black_box.show(settings(folder), "last")
 
 
 @pytest.mark.usefixtures("ring_at")
