@@ -1,5 +1,6 @@
 """`hexapod-gateway`, and `python -m gateway`."""
 
+import errno
 import io
 import os
 import sys
@@ -31,6 +32,12 @@ def main() -> None:
         except KeyboardInterrupt:  # on a Raspberry Pi the import takes seconds
             sys.exit(130)
         cli.main()
+    except OSError as error:
+        if error.errno != errno.ENOSPC or error.filename is not None:
+            raise
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # Python writes what is left once more at its end
+        sys.stderr.write(f"hexapod-gateway: cannot write the output: {error.strerror}\n")
+        sys.exit(1)
     except Exception:
         if sys.argv[1:2] != ["check"]:
             raise
