@@ -138,7 +138,7 @@ def revoke(directory: Path, name: str) -> RevocationList:
     if not found and any(name in (entry.name, entry.common_name) for entry in before):
         raise ConfigError(f"{name} is revoked already")
     if not found and access.role_of(name) == name:
-        raise ConfigError(f"{directory} has no laptop {name!r}: `hexapod-gateway certs list` names them")
+        raise ConfigError(f"there is no laptop {name!r}: `hexapod-gateway certs list --dir {directory}` names them")
     entry = (found.common_name, found.name, found.serial) if found else (name, "", _NO_SERIAL)
     made = _sign(directory, known, (*before, Revoked(*entry, now_utc())))
     for path in directory.glob(f"{found.path.stem}.*") if found else ():

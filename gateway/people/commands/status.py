@@ -12,6 +12,7 @@ from typing import Final, NamedTuple, NoReturn
 
 from gateway import certs
 from gateway.allowance import NS_PER_S
+from gateway.own_command import this_command
 from gateway.people.client import diagnosis
 from gateway.people.client.blocking import Client, several_answer
 from gateway.people.client.dangers import PowerAlarm, power_now
@@ -72,12 +73,12 @@ def sentences(state: GatewayState) -> list[str]:
     alarm.received_state(state, 0)
     found.append(f"{asked['power']} {alarm.sentence}".strip())
     found.append(
-        f"{state.commands.accepted} commands accepted, {state.commands.rejected} rejected; "
-        f"the watchdog ({watchdog.timeout_ms:g} ms) has stopped {watchdog.expirations} legs."
+        f"Commands accepted: {state.commands.accepted}, rejected: {state.commands.rejected}; "
+        f"legs stopped by the watchdog ({watchdog.timeout_ms:g} ms): {watchdog.expirations}."
     )
     found += (asked["address"], asked["certificate"])
     if state.incident is not None:
-        found.append(f"Latest incident: {state.incident} (hexapod-gateway incidents show {state.incident}).")
+        found.append(f"Latest incident: {state.incident} ({this_command()} incidents show {state.incident}).")
     return [each for each in found if each]
 
 

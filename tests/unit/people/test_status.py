@@ -1,5 +1,6 @@
 """`hexapod-gateway status`: the state in sentences."""
 
+import sys
 from collections.abc import Callable, Mapping
 from datetime import timedelta
 
@@ -34,6 +35,15 @@ def test_what_runs_who_drives_and_what_watches() -> None:
     assert "Leg 3 runs at 90°, 90°, 90°." in found
     assert "anna drives." in found
     assert "Stop buttons: 1 alive, 2 required." in found
+    assert "Commands accepted: 0, rejected: 0; legs stopped by the watchdog (250 ms): 0." in found
+
+
+def test_the_command_that_explains_an_incident_names_the_program_as_it_was_called(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["./hexapod-gateway", "status"])
+    found = sentences(state().model_copy(update={"incident": "1-crash"}))
+    assert found[-1] == "Latest incident: 1-crash (./hexapod-gateway incidents show 1-crash)."
 
 
 @pytest.mark.parametrize(
