@@ -111,6 +111,17 @@ def test_the_token_stays_in_the_server(page: Page, other: Page) -> None:
     assert not [text for text in heard if re.search("[0-9a-f]{32}", text)]
 
 
+def test_a_page_whose_lease_has_ended_resets_where_nobody_drives_and_starts_nothing(page: Page, other: Page) -> None:
+    assert lease(page, "acquire")["mine"]
+    assert lease(other, "take")["mine"]
+    assert lease(page, "renew")["mine"] is False
+    estop = page.stop_all()["estop"]
+    assert page.reset(estop)["ack"]["reason"] == "not_holder"
+    assert lease(other, "release")["accepted"]
+    assert page.reset(estop)["ack"] == {"accepted": True}
+    assert page.ask(LEG_3, START)["ack"]["reason"] == "not_holder", "it has not asked for the lease anew"
+
+
 def test_only_the_page_itself_renews_it(page: Page, other: Page) -> None:
     """A page that is frozen has an open socket, and loses the lease all the same."""
     began = datetime.now(UTC)

@@ -269,7 +269,7 @@ class Page:
             case messages.CommandRequest():
                 self._command(message)
             case messages.ResetRequest():
-                payload = self._signed({"estop": message.estop}, message.sent_ms)
+                payload = self._signed({"estop": message.estop}, message.sent_ms, moves=False)
                 late = self._is_late(message.sent_ms)
                 if late is None:
                     self._ask(message.id, partial(self._link.ask, keys.RESET, payload, again=False))
@@ -314,8 +314,9 @@ class Page:
             with suppress(GatewayError):  # the page receives the link's state
                 self._link.client().publish(message.key, payload)  # at most a millisecond
 
-    def _signed(self, payload: dict[str, Any], sent_ms: float | None) -> dict[str, Any]:
-        token = self._lease.token
+    def _signed(self, payload: dict[str, Any], sent_ms: float | None, *, moves: bool = True) -> dict[str, Any]:
+        """A token of an ended lease, which the gateway rejects, stays with what `moves`."""
+        token = self._lease.token if moves or self._lease.mine else None
         lease = {} if token is None else {"lease": token}
         return {**payload, **lease, "source": self.source, "sent_ms": sent_ms}
 
