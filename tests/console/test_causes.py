@@ -142,9 +142,13 @@ def test_two_pages_ask_hand_over_and_take(visitor: Visitor, gateway: Gateway) ->
     bert["run-all"].click()
     bert.page.keyboard.down("h")
     bert.expect_status(1, "runs")
+    anna["lease-ask"].click()
+    expect(anna["events"]).to_contain_text("you ask ")
     anna["lease-take"].click()
     anna["question-yes"].click()
     expect(anna["driver"]).to_have_text("you")
+    expect(anna.said).to_have_text("You drive: this page has the lease.")  # nobody has handed it over
+    expect(anna["events"]).to_contain_text("you have stopped all legs and taken the lease from ")
     expect(bert.said).to_contain_text(re.compile(r"\(page \d+\) has taken the lease"))
     bert.expect_status(1, "rests")
     with gateway.client(source="a program") as robot:

@@ -260,3 +260,10 @@ def test_what_a_walk_by_sensors_feels_is_on_the_picture_and_why_it_stands_still_
     page.page.evaluate(SHOW, shown["limited"])
     expect(page.said).to_contain_text("Slower than that: ")
     expect(page["ground"]).to_be_hidden()
+
+
+def test_without_the_gateway_nobody_knows_what_a_walk_does(visitor: Visitor) -> None:
+    page = visitor.open(script=HEAR)
+    [gone, _], state = situations("root")["no gateway"]
+    page.page.evaluate(SHOW, ([walk("walking"), gone], state))
+    expect(page["walk-known"]).to_have_text("What it does is not known.")

@@ -159,6 +159,12 @@ def test_a_page_that_is_loaded_anew_drives_on_and_stands_until_something_is_pres
 def test_a_hidden_page_stands_and_goes_on_with_a_new_press_only(visitor: Visitor, robot: Client) -> None:
     page = visitor.open()
     page.get_lease()
+    push(page)
+    expect(page["walk-known"]).to_contain_text("It moves to another posture")
+    page.hide()
+    expect(page.said).to_have_text("What is held no longer counts: this page is hidden.")  # and it rises on
+    page.show()
+    page.page.mouse.up()
     walks(page, push)
     page.hide()
     expect(page.said).to_contain_text("It stands still: this page is hidden")

@@ -45,7 +45,8 @@ export class Lease {
   }
 
   get asker() {
-    return this.model.state?.lease?.asked_by ?? null;
+    const by = this.model.state?.lease?.asked_by ?? null;
+    return by === this.model.hello?.source ? null : by; // it has the lease meanwhile, and the state is older
   }
 
   get #handedToMe() {
@@ -63,7 +64,7 @@ export class Lease {
     if (message.mine && !had) {
       this.#renewEvery((message.ttl_ms ?? USUAL_TTL_MS) / RENEWALS_PER_TTL);
       this.callbacks.got();
-      this.callbacks.say(this.wanted ? "You drive: the lease was handed over to you. Press to move." : "You drive: this page has the lease.");
+      this.callbacks.say(this.wanted && did !== "take" ? "You drive: the lease was handed over to you. Press to move." : "You drive: this page has the lease.");
       this.wanted = false;
     } else if (!message.mine && had) {
       const { end: cause, holder: by, silent_s } = message;

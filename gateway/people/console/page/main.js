@@ -68,6 +68,7 @@ const lease = new Lease(link, model, {
     else if (hold.active) hold.drop(why);
     else {
       walk.end(why);
+      hold.why = why; // of a Stop that is reported only now
       say(sentence(why));
     }
   },

@@ -70,6 +70,9 @@ export class Lateness {
   }
 }
 
+/** The verbs of the gateway's sentences about one person, where that is "you". @type {Record<string, string>} */
+const YOURS = { asks: "ask", has: "have", was: "were" };
+
 export class Model {
   constructor() {
     /** @type {import("./types.js").Hello | null} */
@@ -169,7 +172,8 @@ export class Model {
 
   /** This page's own names are "you" to its viewer. @param {string} said a name, or a sentence with names */
   who(said) {
-    return (this.hello?.names ?? []).reduce((all, name) => all.replaceAll(`${name} walks`, "you").replaceAll(name, "you"), said);
+    const named = (this.hello?.names ?? []).reduce((all, name) => all.replaceAll(`${name} walks`, "you").replaceAll(name, "you"), said);
+    return named.startsWith("you ") ? named.replace(/\b(asks|has|was)\b/g, (verb) => YOURS[verb]) : named;
   }
 
   /** Whether a servo runs or waits to be started, as far as is known. */

@@ -180,7 +180,7 @@ function latency({ p50, p99, max }, none) {
 function eventLine(event, who) {
   const kind = event.kind.replace("estop", "stop_all").replaceAll("_", " ");
   const time = element("time", { datetime: event.time }, new Date(event.time).toLocaleTimeString("en-GB"));
-  const source = event.source ? `${event.source}: ` : "";
+  const source = event.source && !event.detail.includes(event.source) ? `${event.source}: ` : "";
   const more = event.left_out ? ` (and ${event.left_out} more)` : "";
   return element("li", { "data-tone": event.tone ?? "plain" }, time, element("b", {}, kind), element("span", {}, `${who(`${source}${worded(event.detail)}`)}${more}`));
 }

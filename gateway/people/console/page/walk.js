@@ -126,8 +126,9 @@ export class Walk {
     if (!this.active || !moved) return;
     this.dropped = true;
     shake(LOST_MS);
-    const known = this.link.open && this.model.gateway.status === "connected"; // else nobody knows what it does
-    this.callbacks.say(`${known ? "It stands still" : "This page no longer moves it"}: ${why}.`);
+    const rises = this.report?.posture === "moving"; // and goes on until it stands
+    const does = rises ? "What is held no longer counts" : "It stands still";
+    this.callbacks.say(`${this.#isKnown ? does : "This page no longer moves it"}: ${why}.`);
   }
 
   /** The connection to the console ended, or STOP ALL was pressed: the walk is over here. @param {string} why */
@@ -188,8 +189,14 @@ export class Walk {
     text(byId("walk-known"), this.#known());
   }
 
+  /** Whether anybody knows what the robot does. */
+  get #isKnown() {
+    return this.link.open && this.model.gateway.status === "connected";
+  }
+
   #known() {
     const { report } = this;
+    if (report && !this.#isKnown) return "What it does is not known.";
     if (!report) return this.active ? "It begins …" : "This page does not walk the robot.";
     const known = `${worded(this.model.who(report.now))}, ${report.gait}`;
     if (report.posture !== "walking") return known;
