@@ -14,6 +14,7 @@ from typing import Final
 import pytest
 
 from gateway.client import Client
+from gateway.people.commands.walk import screen
 from schemas.telemetry import Mode
 from tests.support.closing import Closing
 from tests.support.fixtures import client_fixture, gateway_fixture, patient
@@ -66,6 +67,10 @@ class Terminal(Closing):
 
 gateway = gateway_fixture(patient(10_000))
 watcher = client_fixture("watcher")
+
+
+def test_no_line_of_keys_wraps_in_80_columns() -> None:
+    assert max(map(len, screen._KEYS.splitlines())) <= 80
 
 
 def test_a_person_walks_stops_and_leaves(gateway: Gateway, watcher: Client) -> None:

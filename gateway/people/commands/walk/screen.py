@@ -77,7 +77,7 @@ _KEYS: Final = f"""
   ← →       turn                       + -     faster, slower
   A D       step sideways              r f     higher, lower
   t         stand     c  sit down      q       sit down, stop and leave
-                                       g       continue after a Stop, once it is safe
+                                       g       continue after a Stop, when safe
 """
 NOT_STOPPED: Final = "The emergency stop was NOT confirmed: switch the servos' power off."
 _UNCONFIRMED: Final = "Nobody has confirmed that the legs are stopped: if they hold, switch the servos' power off."
