@@ -256,11 +256,11 @@ def record(
     recording = Recording(load(geometry))
     with connect() as client:
         state = client.state()
-        if live_port is not None:
-            port = recording.serve(live_port)
-            say(f"In Foxglove or Lichtblick, open the Foxglove WebSocket ws://{HOST}:{port}; Ctrl-C ends")
+        port = None if live_port is None else recording.serve(live_port)
         if path is not None:
             _open(recording, path, state, table=table, overwrite=overwrite)
+        if port is not None:
+            say(f"In Foxglove or Lichtblick, open the Foxglove WebSocket ws://{HOST}:{port}; Ctrl-C ends")
         reports = ReportQueue(client.states, state.physics)
         if state.calibration.revision:  # so that the frames can be read; the default, and an older gateway, have 0
             reports.put(CALIBRATION, client.calibration().model_dump_json().encode())
