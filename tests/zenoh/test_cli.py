@@ -92,7 +92,10 @@ def test_estop_says_how_soon_reset_leaves_it_and_both_name_the_person(gateway: G
     assert end.returncode == 0
     assert re.fullmatch(r"stopped: 6 Stop frames written within \d+ µs of the request\n", end.stdout)
     rejected = gateway.run("send", "leg", "3", "start", "1", "2", "3")
-    assert (rejected.returncode, rejected.stdout.split(":")[1]) == (1, " estopped")
+    walked = gateway.run("walk", "--seconds", "1")
+    for each in (rejected, walked):
+        assert (each.returncode, each.stdout.split(":")[1]) == (1, " estopped")
+        assert each.stderr.endswith(f"until `hexapod-gateway reset --connect {gateway.endpoint}`.\n"), each
     with gateway.client() as client:
         state, heard = client.state(), events(client)
         assert (state.mode, state.estop_source) == (Mode.ESTOPPED, f"{me()[:40]} (hexapod-gateway estop)")

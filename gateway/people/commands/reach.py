@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
-from gateway.errors import LeaseError, UnansweredError, ZenohError
+from gateway.errors import LeaseError, RejectedError, UnansweredError, ZenohError
 from gateway.host import effective
 from gateway.host.directories import CONFIGURATION
 from gateway.own_command import command
@@ -82,7 +82,7 @@ def drives(client: Client, hold_s: float, *, moves: bool) -> Iterator[None]:
         lease.release()
 
 
-def rejected(error: LeaseError | Ack) -> int:
+def rejected(error: RejectedError | Ack) -> int:
     """Print why a command was rejected, and what to do. Returns the exit code, 1."""
     say(f"rejected: {error.reason}: {error.detail}")
     if error.reason in (Reason.NOT_HOLDER, Reason.LEASE_HELD):
@@ -90,6 +90,13 @@ def rejected(error: LeaseError | Ack) -> int:
             f"Wait until the lease is free (`{command('status --follow')}`), or request or take it in the console. "
             "Everybody may stop the robot."
         )
+    elif error.reason == Reason.ESTOPPED:
+        hint(until_reset())
     elif error.reason == Reason.NO_LEASE:
         hint(f"This robot obeys only the holder of the lease: `{command('send … --hold S')}` acquires it.")
     return 1
+
+
+def until_reset() -> str:
+    """Return what ends an emergency stop."""
+    return f"All commands are rejected until `{command('reset')}`."

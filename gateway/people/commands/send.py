@@ -145,7 +145,7 @@ def estop_report(ack: Ack, fetch_state: Callable[[], GatewayState]) -> int:
     if stopped:
         power = confirmed_off(ack)
         say(f"stopped: {ack.stop_frames} Stop frames written within {ack.latency_us:.0f} µs of the request{power}")
-        hint(f"All commands are rejected until `{command('reset')}`.")
+        hint(reach.until_reset())
     else:
         written = f"only {ack.stop_frames} of {len(LEGS)} Stop frames were written"
         say(f"latched, but {written}: switch the servos' power off")

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
-from gateway.errors import LeaseError, RejectedError, StoppedError
+from gateway.errors import RejectedError, StoppedError
 from gateway.people.client.walk import Walk
 from gateway.people.commands import reach
 from gateway.people.commands.reach import Connection
@@ -64,9 +64,9 @@ def walk(
                 client.walk(gait, geometry, terrain=terrain) as robot,
             ):
                 whole = go(robot, wanted, seconds, height_m, end)
-        except LeaseError as error:
+        except RejectedError as error:
             return reach.rejected(error)
-        except (StoppedError, RejectedError) as error:
+        except StoppedError as error:
             say(str(error))
             return 1
         except AtOnce as cut:
