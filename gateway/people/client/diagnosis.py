@@ -19,8 +19,9 @@ from typing import Any, Final
 import zenoh
 
 from gateway import certs
+from gateway.endpoints import is_local
 from gateway.errors import ConfigError
-from gateway.own_command import DEFAULT_ENDPOINT
+from gateway.own_command import DEFAULT_ENDPOINT, this_command
 from gateway.people.client.requests import Identity
 from gateway.zenoh_config import connect_endpoints, first_expiry
 
@@ -149,7 +150,7 @@ def diagnose(endpoint: str, identity: Identity, end_s: float) -> Iterator[Findin
     try:
         connection = _connect(addresses, end_s)
     except OSError as error:
-        yield _unreachable(host, port, error)
+        yield _unreachable(host, port, error, here=is_local(endpoint))
         return
     yield Finding(Stage.TCP, f"port {port} answers")
     with connection:
@@ -208,10 +209,12 @@ def _connect(addresses: Iterable[tuple[socket.AddressFamily, Any]], end_s: float
     raise fault
 
 
-def _unreachable(host: str, port: int, error: OSError) -> Finding:
+def _unreachable(host: str, port: int, error: OSError, *, here: bool) -> Finding:
     if isinstance(error, ConnectionRefusedError):
         ports = "does the gateway run (systemctl status hexapod-gateway), and on this port?"
-        fix = f"{ports} Without certificates it listens on its own machine only"
+        far = "Without certificates it listens on its own machine only"
+        other = f"Without a robot: {this_command()} run --sim" if here else far
+        fix = f"{ports} {other}"
         return Finding(Stage.TCP, f"{host} rejects port {port}: nothing listens there", fix)
     if isinstance(error, TimeoutError):
         fix = "is the robot on, and in this network? A firewall may drop what comes for the port"
