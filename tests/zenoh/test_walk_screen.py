@@ -98,6 +98,21 @@ def test_a_person_walks_stops_and_leaves(gateway: Gateway, watcher: Client) -> N
     assert watcher.state().lease.holder is None
 
 
+def test_after_its_lease_was_taken_g_acquires_it_again(gateway: Gateway, watcher: Client) -> None:
+    with Terminal(gateway.endpoint) as terminal:
+        terminal.wait("Nothing moves before you press a key.", "drives")
+        with watcher.lease(take=True, source="anna"):
+            terminal.press("t")
+            terminal.wait("anna holds it now; g goes on", "does not drive")
+        terminal.press("g")
+        terminal.wait("It goes on with the next key.", "drives")
+        terminal.press("t")
+        terminal.wait("It stands")
+        terminal.press("q")
+        assert terminal.wait_for_end() == 0
+    assert watcher.state().lease.holder is None
+
+
 def test_the_stop_key_works_when_the_terminal_takes_no_more_and_so_does_the_end(
     gateway: Gateway, watcher: Client
 ) -> None:

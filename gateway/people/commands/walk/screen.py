@@ -247,7 +247,14 @@ class WalkScreen:
         self._walk.stand(height_m)
         self._height_m = height_m
 
+    @property
+    def _drives(self) -> bool:
+        lease = self._client.carried_lease
+        return lease is not None and lease.held
+
     def _go_on(self) -> None:
+        if not self._drives:
+            self._client.lease(source=reach.me()).acquire()  # the end of the client releases it
         if self._client.state().mode == Mode.ESTOPPED:
             self._client.reset()
         self._walk.start_again()
@@ -298,7 +305,8 @@ class WalkScreen:
                 hint(line)
 
     def _picture(self, columns: int, rows: int) -> Text:
-        title = f"walk · {visible(' '.join(self._client.robot[1:]))} · {visible(self._holder)} drives"
+        drives = "drives" if self._drives else "does not drive"
+        title = f"walk · {visible(' '.join(self._client.robot[1:]))} · {visible(self._holder)} {drives}"
         stop = self._stop.remark(time.monotonic_ns())
         lines = [Text(title, "bold"), *([] if stop is None else [Text(stop.text, stop.style)]), *self._lines()]
         wrapped = [row for line in lines for row in line.wrap(self._console, max(1, columns))]
