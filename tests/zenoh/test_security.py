@@ -167,7 +167,7 @@ STEPS: Final[dict[str, tuple[Callable[[Secured], list[str]], str]]] = {
     ),
     "a port where nothing listens": (
         lambda _: ["--connect", f"tcp/{HOST}:{free_port()}"],
-        f"TCP: {HOST} rejects port … nothing listens there → does the gateway run",
+        f"TCP: {HOST} rejects port … nothing listens there … Without a robot: hexapod-gateway run --sim",
     ),
     "plain TCP to a port with TLS": (
         lambda robot: ["--connect", f"tcp/{HOST}:{robot.port}"],

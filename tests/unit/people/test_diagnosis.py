@@ -15,7 +15,6 @@ from gateway.certs import authority
 from gateway.people.client.diagnosis import Stage, diagnose, validity
 from gateway.people.client.requests import Identity
 from gateway.people.commands import why
-from tests.support.gateway_process import free_port
 
 BEGIN = dt.datetime(2026, 1, 1, tzinfo=dt.UTC)
 END = dt.datetime(2028, 1, 1, tzinfo=dt.UTC)
@@ -54,11 +53,6 @@ def test_what_is_not_dialled_is_reported_at_once(endpoint: str) -> None:
     (finding,) = diagnose(endpoint, Identity(), time.monotonic() + 1)
     assert finding.stage is Stage.ENDPOINT
     assert finding.fix
-
-
-def test_on_this_machine_a_gateway_without_a_robot_can_be_started() -> None:
-    *_, finding = diagnose(f"tcp/127.0.0.1:{free_port()}", Identity(), time.monotonic() + 1)
-    assert finding.fix.endswith("Without a robot: hexapod-gateway run --sim")
 
 
 @pytest.mark.parametrize(

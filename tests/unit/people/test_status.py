@@ -29,21 +29,15 @@ def test_every_mode_is_a_sentence_also_one_of_a_later_version(mode: str) -> None
     assert sentences(state().model_copy(update={"mode": mode}))[0].endswith(". Gateway 0.1.0, up 10 s.")
 
 
-def test_what_runs_who_drives_and_what_watches() -> None:
+def test_what_runs_who_drives_and_what_watches(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", ["./hexapod-gateway", "status"])
     changed = {"lease": LeaseReport(holder="anna", held_s=3.0), "buttons": ButtonsReport(alive=1, required=2)}
-    found = sentences(state(mode=Mode.ACTIVE, running={3}).model_copy(update=changed))
+    found = sentences(state(mode=Mode.ACTIVE, running={3}).model_copy(update={**changed, "incident": "1-crash"}))
     assert "Leg 3 runs at 90°, 90°, 90°." in found
     assert "anna drives." in found
     assert "Stop buttons: 1 alive, 2 required." in found
+    assert "Latest incident: 1-crash (./hexapod-gateway incidents show 1-crash)." in found
     assert "Commands accepted: 0, rejected: 0; legs stopped by the watchdog (250 ms): 0." in found
-
-
-def test_the_command_that_explains_an_incident_names_the_program_as_it_was_called(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["./hexapod-gateway", "status"])
-    found = sentences(state().model_copy(update={"incident": "1-crash"}))
-    assert found[-1] == "Latest incident: 1-crash (./hexapod-gateway incidents show 1-crash)."
 
 
 @pytest.mark.parametrize(
