@@ -16,6 +16,7 @@ import pytest
 
 from gateway import certs
 from gateway.client import Client
+from gateway.onboard.serve import PAUSE_S
 from gateway.onboard.simulation_process import BoardProcess
 from gateway.people.commands.status import topics
 from gateway.robot.host.systemd import VARIABLES
@@ -90,8 +91,8 @@ def test_a_port_that_is_taken_ends_it_with_one_line(tmp_path: Path) -> None:
             ({"zenoh": {"listen": [f"tcp/{address}"]}}, 4, f"{listens} zenoh.listen"),
             ({"telemetry": {"metrics": address}}, 2, metrics),
         ):
-            with Gateway(tmp_path, section, wait=False) as gateway:
-                assert gateway.child.wait() == code
+            with Gateway(tmp_path, section, wait=False, env={"NOTIFY_SOCKET": "/nowhere"}) as gateway:  # by `make run`
+                assert gateway.child.wait(PAUSE_S - 1) == code
                 assert gateway.child.stderr == f"hexapod-gateway: {line}\n"
 
 
