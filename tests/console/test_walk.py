@@ -164,7 +164,6 @@ def test_a_hidden_page_stands_and_goes_on_with_a_new_press_only(visitor: Visitor
     page.hide()
     expect(page.said).to_have_text("What is held no longer counts: this page is hidden.")  # and it rises on
     page.show()
-    page.page.mouse.up()
     walks(page, push)
     page.hide()
     expect(page.said).to_contain_text("It stands still: this page is hidden")

@@ -198,8 +198,8 @@ def test_a_full_disk_behind_its_output_is_a_sentence(gateway: Gateway, arguments
     with Path("/dev/full").open("w") as full:
         command = [*COMMAND, *arguments.split()]
         end = subprocess.run(command, env=environment, stdout=full, stderr=subprocess.PIPE, check=False, timeout=60)
-    said = b"hexapod-gateway: cannot write the output: No space left on device\n"
-    assert (end.returncode, end.stderr) == (1, said)
+    assert end.returncode == 1
+    assert end.stderr == b"hexapod-gateway: cannot write the output: No space left on device\n"
 
 
 BUSY_DAEMON = """

@@ -19,6 +19,8 @@ const DAY_MS = 86_400_000;
  *   `by`: who has the lease now; `forMs`: how long nothing came; `detail`: the technical reason, a line for each host
  */
 
+/** The command that serves this page, for a viewer with a terminal. */
+const CONSOLE = `hexapod-gateway console${location.host === "127.0.0.1:8080" ? "" : ` --listen ${location.host}`}`;
 const AGAIN = "Stay near the robot: this page connects again by itself.";
 const ASK = "Ask the person who runs the robot.";
 const DRIVE = "Press Drive to go on.";
@@ -26,11 +28,11 @@ const DRIVE = "Press Drive to go on.";
 const CAUSES = {
   connecting: [() => "this page is connecting", ""],
   offline: [() => "this device has no network", "Join the robot's Wi-Fi."],
-  lost: [() => "the connection to the console is lost", AGAIN, "Start the console again: hexapod-gateway console"],
+  lost: [() => "the connection to the console is lost", AGAIN, `Start again: ${CONSOLE}`],
   deaf: [() => "the console sends nothing", AGAIN],
-  closed: [() => "the console was closed", ASK, "Start the console again: hexapod-gateway console"],
+  closed: [() => "the console was closed", ASK, `Start again: ${CONSOLE}`],
   rejected: [() => "the console ended the connection", AGAIN],
-  signed_out: [() => "this page is not signed in", "Open a new link: ask the person who runs the console.", "Make a new link: hexapod-gateway console --link"],
+  signed_out: [() => "this page is not signed in", "Open a new link: ask the person who runs the console.", `Make a new link: ${CONSOLE} --link`],
   full: [() => "the network accepts nothing", AGAIN],
   gone: [() => "the console has lost the gateway", ASK, "See why it ended: systemctl status hexapod-gateway"],
   silent: [() => "the gateway sends nothing", ASK, "See its journal: journalctl -u hexapod-gateway"],
