@@ -59,7 +59,7 @@ export function ended(end, terminal = HAS_TERMINAL) {
 /** A sentence that begins so; a name keeps its letters. @param {string} line @param {string[]} [names] */
 export function sentence(line, names = []) {
   const first = names.some((name) => line.startsWith(name)) ? line.slice(0, 1) : line.slice(0, 1).toUpperCase();
-  return `${first}${line.slice(1)}.`;
+  return `${first}${line.slice(1)}${line.endsWith("?") ? "" : "."}`;
 }
 
 /** @param {string} name */
