@@ -33,9 +33,8 @@ class Calls:
     async def run(self, call: Callable[[], T], too_late: Callable[[T], object] = id, *, stops: bool = False) -> T:
         """Return the result of `call`, or raise its error. If cancelled, `call` continues; then `too_late` gets it."""
         future = (self._stops if stops else self._questions).submit(call)
-        on_loop = asyncio.wrap_future(future)
         try:
-            return await asyncio.shield(on_loop)
+            return await asyncio.shield(on_loop := asyncio.wrap_future(future))
         except asyncio.CancelledError:
             on_loop.add_done_callback(asyncio.Future.exception)  # else asyncio prints the error that nobody awaits
             self._stops.submit(lambda: future.exception() or too_late(future.result()))

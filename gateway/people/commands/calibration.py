@@ -97,7 +97,8 @@ def _read(file: Path) -> str:
             raise ConfigError(f"{file} is larger than {_MOST_BYTES} bytes: it is no calibration")
         return text.decode()
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{file} cannot be read: {error}") from error
+        why = error.strerror if isinstance(error, OSError) else error
+        raise ConfigError(f"{file} cannot be read: {why}") from error
 
 
 def change_of(servo: ServoMapping) -> wire.ServoChange:

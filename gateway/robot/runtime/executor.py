@@ -116,7 +116,7 @@ class Executor:
             return
         written = sorted(set(request.written))
         if written:
-            detail = f"{detail}; what it asks of {legs_named(written)} had been written before"
+            detail = f"{detail}; the command's frames for {legs_named(written)} were already written"
         metrics.rejected[verdict] += 1
         stops: Literal[True] | None = True if request.stopped else None
         ack = Ack(accepted=False, reason=verdict, detail=detail, written=written or None, stopped=stops)

@@ -99,7 +99,7 @@ async def test_the_rest_is_withdrawn_and_the_answer_names_what_was_written(
     (ack,) = answers
     assert (ack.accepted, ack.reason, ack.written) == (False, reason, [1, 2])
     assert ack.detail is not None
-    assert ack.detail.endswith("; what it asks of legs 1 and 2 had been written before")
+    assert ack.detail.endswith("; the command's frames for legs 1 and 2 were already written")
     await asyncio.sleep(2 * len(LEGS) * STAGGER_MS / 1000)
     assert robot.controller.energised == {servo_id for servo_id in SERVO_IDS if servo_id // 10 in run_on}
     (rejected,) = robot.events(Kind.COMMAND_REJECTED)
