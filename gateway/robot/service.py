@@ -81,8 +81,10 @@ class ServosFile:
             return
         try:
             descriptor = os.open(folder / SERVOS_FILE, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+            size = len(_LINE % (0, 0))
             with os.fdopen(descriptor, "r+b") as file:
-                file.truncate(len(_LINE % (0, 0)))
+                file.truncate(size)
+                os.posix_fallocate(descriptor, 0, size)  # in a full folder, a later write would end in SIGBUS
                 self._map = mmap.mmap(descriptor, 0)
         except OSError as error:
             logger.warning("an upgrade cannot see whether a servo runs: %s", error)

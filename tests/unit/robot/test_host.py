@@ -52,6 +52,12 @@ def test_what_an_earlier_run_has_left_is_taken_over(tmp_path: Path) -> None:
     assert (tmp_path / SERVOS_FILE).read_text() == f"{7:020d} 1\n"
 
 
+def test_a_write_needs_no_room_in_a_folder_that_has_become_full(tmp_path: Path) -> None:
+    """Without a block, it would end the gateway by SIGBUS."""
+    ServosFile(tmp_path)
+    assert (tmp_path / SERVOS_FILE).stat().st_blocks
+
+
 def test_without_a_folder_it_is_nothing(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     ServosFile(None).write(1, any_runs=True)
     with caplog.at_level(logging.WARNING):
