@@ -249,9 +249,12 @@ class _Service:
             await asyncio.wait((opening, ended), return_when=asyncio.FIRST_COMPLETED)
             if opening.done():
                 session, _ = opening.result()
-                closes += self.take_commands(session, on_ready)
-                await ended
-                self.beat.cancel()
+                try:
+                    closes += self.take_commands(session, on_ready)
+                    await ended
+                    self.beat.cancel()
+                except Exception as error:  # commands may have been accepted before
+                    self.loop.call_exception_handler({"message": "the start failed", "exception": error})
             self.notifier.stopping(anew=end.starts_anew)
             deadline = self.loop.time() + SHUTDOWN_S
             await stop_the_robot(conductor)

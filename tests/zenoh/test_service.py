@@ -106,6 +106,12 @@ DEAF = """
 from gateway.robot.zenoh_io import inbox
 inbox.Inbox.makes_progress = lambda self: False
 """
+HALF_OPEN = """
+from gateway.robot import service
+def broken(session, body_id):  # the inbox takes commands already
+    raise RuntimeError("planted")
+service.UnknownKeys = broken
+"""
 RUN = """
 import atexit, os, sys
 from gateway import cli
@@ -119,6 +125,7 @@ cli.main()
     ("planted", "last"),
     [
         (BROKEN, "hexapod-gateway: a mistake in the gateway ended it: planted"),
+        (HALF_OPEN, "hexapod-gateway: a mistake in the gateway ended it: planted"),
         (DEAF, "a thread that takes commands has ended or is stuck"),
     ],
 )
