@@ -19,12 +19,15 @@ from gateway.people.terminal import hint, say
 from gateway.robot import service
 from gateway.robot import settings as settings_file
 from gateway.robot.host.systemd import NOTIFY_SOCKET
+from gateway.robot.settings import Settings
+from gateway.robot.spi.stop_all import stop_before_service
 from gateway.robot.wires import SimulatedParts
 from gateway.simulation.body import endpoint
 from gateway.zenoh_config import listen_endpoints
 
 PAUSE_S: Final = 11.0
 """(PAUSE_S + the unit's RestartSec) × its StartLimitBurst exceeds its StartLimitIntervalSec."""
+STOP_AGAIN_S: Final = 0.1
 _CERTIFICATE: Final = "NAME.json5"
 
 
@@ -61,17 +64,21 @@ def serve(config: Path | None, *, simulated: bool, body: tuple[Path | None, Assu
             service.run(settings, parts, ready)
         except (SpiError, ZenohError) as error:
             if not is_ready and not simulated and NOTIFY_SOCKET in os.environ:  # `make run` has such a socket, too
-                _pause(error)
+                _pause(error, settings)
             raise
 
 
-def _pause(error: GatewayError) -> NoReturn:
-    """Under systemd, wait before the end of a failed start that may succeed later. No servo runs then.
+def _pause(error: GatewayError, settings: Settings) -> NoReturn:
+    """Under systemd, wait before the end of a failed start that may succeed later. SIGTERM ends the pause.
 
-    With the pause, such starts never reach the unit's start limit, which is for crashes. SIGTERM ends the pause.
+    With the pause, such starts never reach the unit's start limit, which is for crashes. Meanwhile write Stops:
+    servos may still run since a bus fault of the run before, and the device may return.
     """
     hint(f"hexapod-gateway: {error}")
-    time.sleep(PAUSE_S)
+    end_s = time.monotonic() + PAUSE_S
+    while time.monotonic() < end_s:
+        stop_before_service(settings.wire, settings.spi, settings.controller)
+        time.sleep(STOP_AGAIN_S)
     sys.exit(error.exit_code)
 
 

@@ -2,8 +2,15 @@
 
 import re
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import pytest
+
+from gateway.errors import SpiError
+from gateway.onboard import serve
 from gateway.onboard.serve import PAUSE_S
+from gateway.robot import service, settings
 
 UNIT = (Path(__file__).parents[3] / "deploy/systemd/hexapod-gateway.service").read_text()
 CRASHES_S = 5
@@ -21,3 +28,17 @@ def test_pauses_keep_starts_under_the_units_limit_and_crashes_reach_it() -> None
     assert (PAUSE_S + restart_s) * burst > limit_s
     assert (CRASHES_S + restart_s) * burst < limit_s
     assert setting("TimeoutStartSec") > PAUSE_S
+
+
+def test_in_a_pause_the_robot_gets_stops(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its device may return, and its servos may run since a bus fault before the start."""
+    stopped, pauses_s, used = list[Any](), list[float](), settings.Settings()
+    monkeypatch.setenv("NOTIFY_SOCKET", "@systemd")
+    monkeypatch.setattr(settings, "load", lambda *_, **__: used)
+    monkeypatch.setattr(service, "run", lambda *_: (_ for _ in ()).throw(SpiError("told to fail")))
+    monkeypatch.setattr(serve, "stop_before_service", lambda *of: stopped.append(of))
+    monkeypatch.setattr(serve, "time", SimpleNamespace(monotonic=lambda: sum(pauses_s), sleep=pauses_s.append))
+    with pytest.raises(SystemExit) as ended:
+        serve.serve(None, simulated=False)
+    assert (ended.value.code, round(sum(pauses_s))) == (SpiError.exit_code, PAUSE_S)
+    assert stopped == [(used.wire, used.spi, used.controller)] * len(pauses_s)
