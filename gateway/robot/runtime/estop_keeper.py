@@ -109,6 +109,8 @@ class EstopKeeper:
             self._written = None if found.fault else found
             conductor.on_latch = self._changed
             conductor.ask(EstopKept(found.number, found.engaged))
+            if conductor.supervisor.latch.since_ns is not None:
+                self._changed()  # one of this run may have come before, by the power board's off button
             self._show()
 
     def announce_start(self) -> None:

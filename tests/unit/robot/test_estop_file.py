@@ -202,6 +202,22 @@ async def test_one_that_is_kept_already_is_not_written_again(tmp_path: Path, mon
     robot.conductor.close()
 
 
+@pytest.mark.parametrize("earlier", [None, KeptEstop(7), ENGAGED])
+async def test_one_that_comes_while_the_disk_is_read_is_kept(
+    earlier: KeptEstop | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The power board's off button needs no client."""
+    if earlier is not None:
+        write(tmp_path, earlier)
+    robot, keeper = begun(tmp_path, monkeypatch)
+    robot.put(keys.ESTOP, {"source": "button"})
+    await keeper.known()
+    await until(keeper._idle.is_set)
+    robot.conductor.close()
+    found = read(tmp_path)
+    assert found[:3] == (1 + (earlier or KeptEstop(0)).number, True, "button")
+
+
 async def test_beside_another_gateway_it_counts_as_engaged_and_removes_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
