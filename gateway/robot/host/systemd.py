@@ -45,6 +45,7 @@ class SystemdNotifier:
         """Report that commands are accepted from now on. Resets systemd's watchdog to the unit's period."""
         period = f"\nWATCHDOG_USEC={self._timeout_us}" if self._timeout_us else ""
         self._send(f"READY=1\nSTATUS={status}{period}")
+        self._end_unless_alive()
 
     def status(self, status: str) -> None:
         """Set the sentence in `systemctl status`. For any thread."""
