@@ -24,7 +24,7 @@ from gateway.robot.zenoh_io.questions import POLL_AGAIN_S
 from gateway.robot.zenoh_io.rings import LEAST_PUT_DEPTH, RING_DEPTH
 from gateway.robot.zenoh_io.session import service_config
 from gateway.zenoh_config import open_session
-from schemas.keys import ESTOP, LEASE, leg_command, servo_command
+from schemas.keys import ALL_COMMANDS, ESTOP, LEASE, leg_command, servo_command
 from tests.support.gateway_process import free_port
 from tests.support.interleaved import Sample
 
@@ -95,6 +95,20 @@ async def held(session: zenoh.Session) -> AsyncIterator[Held]:
     made = Held(session)
     yield made
     await made.close()
+
+
+async def test_a_message_that_came_before_the_wakeups_were_declared_is_taken_at_once(session: zenoh.Session) -> None:
+    """Else a start would wait for the next message, perhaps for minutes, and then move the robot."""
+
+    def subscribe(key: str, ring: Any) -> Any:
+        if key == ALL_COMMANDS:
+            session.put(LEG_1, b"{}")
+        return session.declare_subscriber(key, ring)
+
+    early: Any = SimpleNamespace(declare_subscriber=subscribe, declare_queryable=session.declare_queryable)
+    held = Held(early, takes=True)
+    await held.until(lambda: held.taken == [LEG_1])
+    await held.close()
 
 
 # ---- the emergency stop

@@ -95,7 +95,7 @@ class Inbox:
         """Earlier wakeups for each key whose messages have not been taken; below 0: messages taken before theirs."""
         self._early_until_s = 0.0
         self._lost_some = False  # wakeups were lost, so all keys are polled again
-        self._read_all = False
+        self._read_all = True  # at first: a ring may have messages from before the wakeups were declared
         self._poll_again = OwnersTimer(loop, owner, self._poll_now)
         self._attempt = 0
         self._closing = OwnersTimer(loop, owner, on_wakeup)
@@ -142,6 +142,7 @@ class Inbox:
                 for key, read in readers.items()
             ),
         ]
+        self._closing.set_in(0)
 
     @property
     def instant_open(self) -> bool:
