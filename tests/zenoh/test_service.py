@@ -102,6 +102,12 @@ def broken(self, received, now_ns):
     raise RuntimeError("planted")
 conductor.Conductor._receive = broken
 """
+MUTE = f"""{BROKEN}
+from gateway.robot.blackbox import recorder
+def mute(self, detail):
+    raise RuntimeError("the black box is broken, too")
+recorder.Recorder.mistake = mute
+"""
 DEAF = """
 from gateway.robot.zenoh_io import inbox
 inbox.Inbox.makes_progress = lambda self: False
@@ -125,6 +131,7 @@ cli.main()
     ("planted", "last"),
     [
         (BROKEN, "hexapod-gateway: a mistake in the gateway ended it: planted"),
+        (MUTE, "hexapod-gateway: a mistake in the gateway ended it: planted"),
         (HALF_OPEN, "hexapod-gateway: a mistake in the gateway ended it: planted"),
         (DEAF, "a thread that takes commands has ended or is stuck"),
     ],
@@ -134,7 +141,7 @@ def test_a_mistake_of_ours_stops_the_robot_and_ends_the_service(tmp_path: Path, 
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     config = write_settings(tmp_path / "gateway.toml", {"zenoh": {"listen": [endpoint]}})
     with Child([sys.executable, "-X", "dev", "-c", planted + RUN, str(config)], os.environ) as child:
-        if planted is BROKEN:
+        if BROKEN in planted:
             child.wait_for_output(READY, 60)
             with Client(endpoint, timeout_s=20) as client:
                 client.publish(keys.leg_command(3), {})

@@ -64,10 +64,10 @@ class ServiceEnd:
 
     def because(self, failure: str) -> None:
         """End the service as failed. `failure` goes to the black box and stderr."""
+        self.failure, self.starts_anew = self.failure or failure, False
+        self.requested.set()  # first: the black box may be what fails
         with self._owner:
             self._recorder.mistake(failure)
-        self.failure, self.starts_anew = self.failure or failure, False
-        self.requested.set()
 
     def begin_again(self) -> None:
         """End the service and restart it in the same process. Its files are read again."""
