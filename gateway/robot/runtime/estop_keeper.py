@@ -207,6 +207,9 @@ class EstopKeeper:
 
     def flush(self) -> None:
         """Wait until all is written or an attempt has failed, FLUSH_S at most. The caller must not own the state."""
+        with self._conductor.owner:
+            if self._folder is not None and self._conductor.supervisor.latch.since_ns is not None:
+                self._changed()  # a mistake may have ended the step of the latest one
         self._wakes.put(True)
         self._idle.wait(FLUSH_S)
 

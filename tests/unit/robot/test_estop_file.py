@@ -287,6 +287,22 @@ async def test_neither_a_reset_nor_the_end_waits_for_its_turn(
     assert number_kept(tmp_path) == (0 if reset else 2)
 
 
+async def test_a_mistake_in_its_own_step_does_not_forget_it(
+    kept: Kept, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It ends the service, and the next run starts engaged."""
+    robot, keeper = kept
+
+    def broken(*_: object) -> None:
+        raise RuntimeError("planted")
+
+    monkeypatch.setattr(robot.conductor.reports, "announce", broken)
+    with pytest.raises(RuntimeError):
+        robot.put(keys.ESTOP, {"source": "anna"})
+    await asyncio.to_thread(keeper.flush)
+    assert read(tmp_path)[:3] == (1, True, "anna")
+
+
 async def test_the_end_does_not_wait_for_a_disk_that_hangs(
     kept: Kept, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
