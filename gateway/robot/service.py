@@ -39,7 +39,7 @@ from gateway.robot.host.systemd import SystemdNotifier
 from gateway.robot.power.line import PowerLine
 from gateway.robot.runtime.calibrations import Calibrations
 from gateway.robot.runtime.conductor import Conductor
-from gateway.robot.runtime.estop_keeper import EstopKeeper
+from gateway.robot.runtime.estop_keeper import READ_S, EstopKeeper
 from gateway.robot.runtime.report import wall_clock
 from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers
 from gateway.robot.runtime.revocations import Revocations, list_common_names, revocation_state
@@ -239,16 +239,17 @@ class _Service:
             # Stops before Zenoh: servos that move at the start are stopped before any command can arrive.
             with self.owner:
                 conductor.start()
-                self.recorder.open()
             if isinstance(self.bus, CyclicBus):
                 cycle = partial(self.bus.cycle, self.owner, conductor.measured, conductor.bus_failed)
                 cycles = in_thread("cycle", partial(run_cycles, cycle))
                 cycles.add_done_callback(asyncio.Future.result)  # a mistake ends the service
-            opening = asyncio.gather(in_thread("open", self.open_zenoh), self.keeper.known())
+            black_box = in_thread("black box", partial(self.recorder.open, self.owner))
+            recorded = asyncio.wait((black_box,), timeout=READ_S)  # a disk that hangs keeps the service from nothing
+            opening = asyncio.gather(in_thread("open", self.open_zenoh), self.keeper.known(), recorded)
             ended = asyncio.ensure_future(end.requested.wait())
             await asyncio.wait((opening, ended), return_when=asyncio.FIRST_COMPLETED)
             if opening.done():
-                session, _ = opening.result()
+                session, *_ = opening.result()
                 try:
                     closes += self.take_commands(session, on_ready)
                     await ended

@@ -151,6 +151,14 @@ def test_a_mistake_of_ours_stops_the_robot_and_ends_the_service(tmp_path: Path, 
     assert len(re.findall(r"servo \d\d stopped", child.stderr)) >= 2 * 18, "at the start, and at this end"
 
 
+def test_a_disk_that_hangs_delays_no_start_for_its_black_box(tmp_path: Path) -> None:
+    hangs = "import time\nfrom gateway.robot.blackbox import ring\nring.prepare = lambda folder: time.sleep(600)\n"
+    sections: dict[str, Any] = {"zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"]}, "state": {"path": str(tmp_path)}}
+    config = write_settings(tmp_path / "gateway.toml", sections)
+    with Child([sys.executable, "-c", hangs + RUN, str(config)], os.environ) as child:
+        child.wait_for_output(READY, 60)
+
+
 # ---- what goes wrong out of sight is said: in the log, to systemd, in the state
 
 

@@ -11,6 +11,7 @@ import logging
 import os
 from collections import Counter
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -34,6 +35,8 @@ from schemas.telemetry import Cause, Kind, Mode
 
 CHUNK: Final = 4096
 """Records copied at a time: half a megabyte of memory."""
+MOST_WAITING: Final = 4096
+"""Records that wait for the ring: a disk that hangs must not fill the memory."""
 CLOSE_S: Final = 1.0
 """Longest wait for a copy; one of the largest ring takes about 10 ms."""
 
@@ -152,23 +155,30 @@ class Recorder:
         self._append(form.START, clock(), form.fields(wall_ns(), {"pid": os.getpid(), **facts}))
         self._append(form.ABOUT, self._about_ns, self._about)
 
-    def open(self) -> None:
-        """Open the ring, and write the records that wait for it. Never raises."""
-        if self._folder is None:
+    def open(self, owner: AbstractContextManager[None]) -> None:
+        """Open the ring, and write the records that wait for it. Waits for the disk, then for the state. Never raises.
+
+        `owner` is the state's lock.
+        """
+        folder = self._folder
+        if folder is None:
             return
         try:
-            self._path = rings.prepare(self._folder)
-            self._ring = RecordRing(self._path, rings.slots_for(self._settings))
+            self._path = rings.prepare(folder)
+            ring = RecordRing(self._path, rings.slots_for(self._settings))
         except OSError as error:
-            logger.warning("the black box is off: %s: %s", self._folder, error.strerror or error)
-            self._folder = self.incident = None
+            logger.warning("the black box is off: %s: %s", folder, error.strerror or error)
+            with owner:
+                self._folder = self.incident = None
             return
+        if ring.note:
+            logger.warning(ring.note)
         self._worker = Worker("copy incident")
-        if self._ring.note:
-            logger.warning(self._ring.note)
-        for each in self._waiting:
-            self._ring.append(*each)
-        self._waiting.clear()
+        with owner:
+            for each in self._waiting:
+                ring.append(*each)
+            self._waiting.clear()
+            self._ring = ring
 
     def close(self) -> None:
         """Close the ring; later records are discarded."""
@@ -311,5 +321,5 @@ class Recorder:
     def _append(self, kind: int, ns: int, rest: bytes) -> None:
         if self._ring is not None:
             self._ring.append(kind, ns, rest)
-        elif self._folder is not None:
+        elif self._folder is not None and len(self._waiting) < MOST_WAITING:
             self._waiting.append((kind, ns, rest))

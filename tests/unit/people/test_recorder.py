@@ -2,6 +2,7 @@
 
 import asyncio
 import os
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ def recorded(folder: Path, **sections: Any) -> Robot:
     """A gateway with a black box, as the service makes it; its start's repeats are still to come."""
     robot = Robot({"state": {"path": str(folder)}, **sections})
     robot.conductor.start()
-    robot.conductor.recorder.open()
+    robot.conductor.recorder.open(nullcontext())
     robot.conductor.reports.announce_start()
     return robot
 
