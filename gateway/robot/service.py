@@ -327,8 +327,14 @@ class _Service:
             },
             tokens={lease.key: conductor.supervisor.lease.holds, button.key: conductor.supervisor.buttons.knows},
             depth=put_depth(settings.limits.leg_rate_hz, settings.watchdog.timeout_ms),
-            on_estop_received=(lambda: None) if self.line is None else self.line.cut,
+            on_estop_received=self.estop_received,
         )
+
+    def estop_received(self) -> None:
+        """Do what an emergency stop needs besides its step. For any thread."""
+        if self.line is not None:
+            self.line.cut()
+        self.keeper.received()
 
     # ---- the beat: timers instead of a task's sleep, so that an idle loop turns once for each beat, and not twice
 

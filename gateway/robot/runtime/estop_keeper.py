@@ -47,6 +47,8 @@ SLOW_S: Final = 5.0
 """A longer write counts as hanging and is reported. It takes milliseconds, on a worn card a second."""
 RETRY_S: Final = 1.0
 """The pause between attempts after a failed write: a full disk may have space again."""
+HANGS_S: Final = 0.1
+"""A step that takes longer may never end: systemd kills a gateway whose transfer hangs. A step takes some 2 ms."""
 FLUSH_S: Final = 0.2
 """How long the end of the service waits for a write."""
 _LOOK: Final = "make sure that nobody is in danger, then reset it"
@@ -83,6 +85,8 @@ class EstopKeeper:
         self._fault: str | None = None
         self._wakes: SimpleQueue[bool] = SimpleQueue()
         """Wakes the thread. True: write without a pause."""
+        self._received = threading.Event()
+        """An emergency stop was received; its step may not have ended."""
         self._idle = threading.Event()
         """All is written, or an attempt failed."""
         self._idle.set()
@@ -150,8 +154,14 @@ class EstopKeeper:
             self._slow.set_in(SLOW_S)
             self._wakes.put(at_once)
 
+    def received(self) -> None:
+        """Keep an emergency stop that was just received even if its step hangs. For any thread; never waits."""
+        if self._folder is not None and not self._received.is_set():  # so that a flood fills no queue
+            self._received.set()
+            self._wakes.put(False)
+
     def _keep(self, folder: StateFolder) -> None:
-        """The thread: read what an earlier run left, then write each change, with a pause after each attempt."""
+        """The thread: read what an earlier run left, then write each change."""
         prefer_thread(PAGE_PRIORITY)
         try:
             folder.own()
@@ -162,11 +172,31 @@ class EstopKeeper:
             self._loop.call_soon_threadsafe(self._found.set_result, found)
         while True:
             self._wakes.get()
-            while (wanted := self._wanted) is not None and wanted != self._written:
-                until_s = self._write(folder, wanted) + time.monotonic()
+            self._write_changes(folder)
+            while self._received.is_set():
+                self._received.clear()
                 with suppress(Empty):
-                    while not self._wakes.get(timeout=max(0.0, until_s - time.monotonic())):
-                        pass
+                    self._wakes.get(timeout=HANGS_S)
+                self._write_changes(folder)
+                self._write_unfinished(folder)
+
+    def _write_changes(self, folder: StateFolder) -> None:
+        """Write the latest state, with a pause after each attempt."""
+        while (wanted := self._wanted) is not None and wanted != self._written:
+            until_s = self._write(folder, wanted) + time.monotonic()
+            with suppress(Empty):
+                while not self._wakes.get(timeout=max(0.0, until_s - time.monotonic())):
+                    pass
+
+    def _write_unfinished(self, folder: StateFolder) -> None:
+        """Write an emergency stop whose step has not ended, without the state, which a transfer that hangs may hold."""
+        latch, wanted, waits = self._conductor.supervisor.latch, self._wanted, bool(self._conductor.messages.estops)
+        number = latch.number + waits
+        known = wanted is not None and wanted.engaged and wanted.number >= number
+        if not known and (waits or latch.since_ns is not None):
+            with suppress(ConfigError):  # reported once the step has ended
+                folder.own()
+                write(folder.path, KeptEstop(number, True))
 
     def _write(self, folder: StateFolder, wanted: KeptEstop) -> float:
         """Write, and report how that ended. Return the pause before the next attempt in seconds."""

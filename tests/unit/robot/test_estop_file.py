@@ -18,6 +18,7 @@ import pytest
 from gateway import durable
 from gateway.errors import ConfigError
 from gateway.robot import service
+from gateway.robot.core.events import EmergencyStop
 from gateway.robot.host.disk import StateFolder
 from gateway.robot.runtime import estop_keeper
 from gateway.robot.runtime.estop_keeper import (
@@ -301,6 +302,23 @@ async def test_a_mistake_in_its_own_step_does_not_forget_it(
         robot.put(keys.ESTOP, {"source": "anna"})
     await asyncio.to_thread(keeper.flush)
     assert read(tmp_path)[:3] == (1, True, "anna")
+
+
+@pytest.mark.parametrize("begun", [False, True], ids=["before its step", "in its step"])
+async def test_one_that_a_transfer_that_hangs_holds_up_is_kept(kept: Kept, tmp_path: Path, begun: bool) -> None:
+    """systemd kills the gateway then, and the next run has to start engaged."""
+    robot, keeper = kept
+    with robot.conductor.owner:
+        if begun:
+            robot.conductor.supervisor.step(EmergencyStop(), robot.now_ns())
+        else:
+            robot.put_later(keys.ESTOP)
+            assert list(robot.take()) == []
+        keeper.received()
+        ends_s = time.monotonic() + 15
+        while number_kept(tmp_path) != 1:
+            assert time.monotonic() < ends_s
+            time.sleep(0.001)  # noqa: ASYNC251  (the loop waits for the state, too)
 
 
 async def test_the_end_does_not_wait_for_a_disk_that_hangs(
