@@ -243,8 +243,7 @@ class _Service:
                 cycle = partial(self.bus.cycle, self.owner, conductor.measured, conductor.bus_failed)
                 cycles = in_thread("cycle", partial(run_cycles, cycle))
                 cycles.add_done_callback(asyncio.Future.result)  # a mistake ends the service
-            black_box = in_thread("black box", partial(self.recorder.open, self.owner))
-            recorded = asyncio.wait((black_box,), timeout=READ_S)  # a disk that hangs keeps the service from nothing
+            recorded = asyncio.wait((in_thread("black box", partial(self.recorder.open, self.owner)),), timeout=READ_S)
             opening = asyncio.gather(in_thread("open", self.open_zenoh), self.keeper.known(), recorded)
             ended = asyncio.ensure_future(end.requested.wait())
             await asyncio.wait((opening, ended), return_when=asyncio.FIRST_COMPLETED)

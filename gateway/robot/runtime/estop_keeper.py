@@ -161,7 +161,7 @@ class EstopKeeper:
             self._wakes.put(False)
 
     def _keep(self, folder: StateFolder) -> None:
-        """The thread: read what an earlier run left, then write each change."""
+        """The thread: read what an earlier run left, then write each change, with a pause after each attempt."""
         prefer_thread(PAGE_PRIORITY)
         try:
             folder.own()
@@ -170,26 +170,22 @@ class EstopKeeper:
             found = _unknown(str(error))
         with suppress(RuntimeError):  # the loop is closed: the service has ended
             self._loop.call_soon_threadsafe(self._found.set_result, found)
+        received = False
         while True:
-            self._wakes.get()
-            self._write_changes(folder)
-            while self._received.is_set():
-                self._received.clear()
-                with suppress(Empty):
-                    self._wakes.get(timeout=HANGS_S)
-                self._write_changes(folder)
-                self._write_unfinished(folder)
-
-    def _write_changes(self, folder: StateFolder) -> None:
-        """Write the latest state, with a pause after each attempt."""
-        while (wanted := self._wanted) is not None and wanted != self._written:
-            until_s = self._write(folder, wanted) + time.monotonic()
             with suppress(Empty):
-                while not self._wakes.get(timeout=max(0.0, until_s - time.monotonic())):
-                    pass
+                self._wakes.get(timeout=HANGS_S if received else None)
+            while (wanted := self._wanted) is not None and wanted != self._written:
+                until_s = self._write(folder, wanted) + time.monotonic()
+                with suppress(Empty):
+                    while not self._wakes.get(timeout=max(0.0, until_s - time.monotonic())):
+                        pass
+            if received:
+                self._write_unfinished(folder)
+            if received := self._received.is_set():
+                self._received.clear()
 
     def _write_unfinished(self, folder: StateFolder) -> None:
-        """Write an emergency stop whose step has not ended, without the state, which a transfer that hangs may hold."""
+        """Write an emergency stop whose step hangs (which then holds the state), or was ended by a mistake."""
         latch, wanted, waits = self._conductor.supervisor.latch, self._wanted, bool(self._conductor.messages.estops)
         number = latch.number + waits
         known = wanted is not None and wanted.engaged and wanted.number >= number
@@ -237,9 +233,6 @@ class EstopKeeper:
 
     def flush(self) -> None:
         """Wait until all is written or an attempt has failed, FLUSH_S at most. The caller must not own the state."""
-        with self._conductor.owner:
-            if self._folder is not None and self._conductor.supervisor.latch.since_ns is not None:
-                self._changed()  # a mistake may have ended the step of the latest one
         self._wakes.put(True)
         self._idle.wait(FLUSH_S)
 
