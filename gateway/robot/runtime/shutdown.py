@@ -114,12 +114,10 @@ async def stop_the_robot(conductor: Conductor) -> None:
         except Exception:
             logger.exception("the orderly end failed; writing the Stops directly")
             stopped = False
-        if not stopped:
-            _last_attempt(conductor.bus, deadline_s)
+        how = "all six legs got their Stop" if stopped else _last_attempt(conductor.bus, deadline_s)
     if stopped:
         with suppress(TimeoutError):
             await asyncio.wait_for(conductor.done.wait(), REPEATS_S)
-    how = "all six legs got their Stop" if stopped else "the Stops were written at a last attempt"
     if supply is not None:
         answered: asyncio.Future[float | None] = conductor.loop.create_future()
         with conductor.owner:
@@ -134,10 +132,11 @@ async def stop_the_robot(conductor: Conductor) -> None:
         conductor.recorder.ended(how)
 
 
-def _last_attempt(bus: Wire, deadline_s: float) -> None:
+def _last_attempt(bus: Wire, deadline_s: float) -> str:
     """Stop all six legs repeatedly: a transient fault, or a fault of one leg's frame, must not keep others moving.
 
-    This blocks the loop and owns the state: after an exception nothing else may write to the bus.
+    Return a sentence for the black box. This blocks the loop and owns the state: after an exception nothing else may
+    write to the bus.
     """
     unstopped, rounds_left, opened = set(LEGS), 1 + STOP_REPEATS, True
     while True:
@@ -148,10 +147,11 @@ def _last_attempt(bus: Wire, deadline_s: float) -> None:
         if not rounds_left or time.monotonic() > deadline_s:
             break
         time.sleep(STOP_REPEAT_MS / 1000)
+    how = "all six legs got their Stop at the last attempt"
     if unstopped:
-        logger.critical("no Stop could be written to legs %s: %s", ", ".join(map(str, sorted(unstopped))), fault)
-    else:
-        logger.warning("all six legs got their Stop at the last attempt")
+        how = f"no Stop could be written to legs {', '.join(map(str, sorted(unstopped)))}: {fault}"
+    logger.log(logging.CRITICAL if unstopped else logging.WARNING, how)
+    return how
 
 
 async def close_within(timeout_s: float, closes: Iterable[Callable[[], None]]) -> None:

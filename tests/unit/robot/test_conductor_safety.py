@@ -9,6 +9,7 @@ from gateway.errors import SpiError
 from gateway.model.frames import Framing, stop_leg
 from gateway.robot.core import events
 from gateway.robot.core.message import Verb
+from gateway.robot.runtime.shutdown import stop_the_robot
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Kind, Mode, Reason
@@ -283,3 +284,14 @@ async def test_in_a_published_controllers_framing_the_preamble_comes_first_and_a
     assert [data for _, data in robot.controller.transfers][:18] == first
     assert robot.controller.energised == set()
     assert robot.controller.corruptions.total() == 0
+
+
+@pytest.mark.parametrize("number", [2, None])
+async def test_the_black_box_states_which_last_stops_were_not_written(
+    number: int | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot, ended = await started_and_quiet(), list[str]()
+    robot.controller.fail_where(lambda data: number is None or data == stop_leg(number).data)
+    monkeypatch.setattr(robot.conductor.recorder, "ended", ended.append)
+    await stop_the_robot(robot.conductor)
+    assert f"no Stop could be written to legs {number or '1, 2, 3, 4, 5, 6'}: the simulated" in ended[0]
