@@ -335,7 +335,7 @@ class _Service:
             self.line.cut()
         self.keeper.received()
 
-    # ---- the beat: timers instead of a task's sleep, so that an idle loop turns once for each beat, and not twice
+    # ---- the beat: timers instead of a task's sleep, which would have an idle loop turn once more for each beat
 
     def look_after_all(self, due_s: float) -> None:
         """Do what a beat has to do, and set the next one's timer if the receiver threads make progress.

@@ -95,7 +95,7 @@ class Inbox:
         """Earlier wakeups for each key whose messages have not been taken; below 0: messages taken before theirs."""
         self._early_until_s = 0.0
         self._lost_some = False  # wakeups were lost, so all keys are polled again
-        self._read_all = True  # at first: a ring may have messages from before the wakeups were declared
+        self._read_all = False
         self._poll_again = OwnersTimer(loop, owner, self._poll_now)
         self._attempt = 0
         self._closing = OwnersTimer(loop, owner, on_wakeup)
@@ -142,7 +142,6 @@ class Inbox:
                 for key, read in readers.items()
             ),
         ]
-        self._closing.set_in(0)
 
     @property
     def instant_open(self) -> bool:
@@ -176,6 +175,7 @@ class Inbox:
 
     def makes_progress(self) -> bool:
         """Return whether all threads run, and the receiver threads make progress. Call it once a beat."""
+        self._closing.set_in(0)  # all rings are read: a message may have come before its wakeup, or long after it
         progress = [receiver.makes_progress() for receiver in self._receivers]  # each counts its beats
         return all(progress) and all(worker.thread.is_alive() for worker in self._workers)
 
