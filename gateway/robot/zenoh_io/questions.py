@@ -88,8 +88,8 @@ class QuestionRing:
 
 
 class WokenRing:
-    """A ring of queries that one thread waits for without polling, unlike Zenoh's `recv`, which wakes ten times a
-    second to look for signals."""
+    """A ring of queries that one thread waits for, with one poll a second; Zenoh's `recv` wakes ten times a second to
+    look for signals."""
 
     def __init__(self, ring: Handler[zenoh.Query] | QuestionRing) -> None:
         self._ring = ring
@@ -108,7 +108,7 @@ class WokenRing:
         pauses_s: Iterator[float] = iter(())
         while (found := self._ring.try_recv()) is None:
             with suppress(Empty):
-                if not self._wakes.get(timeout=next(pauses_s, None)):
+                if not self._wakes.get(timeout=next(pauses_s, 1.0)):  # a query may come long after its wakeup
                     raise zenoh.ZError("the ring is closed")
                 pauses_s = iter(POLL_AGAIN_S)
         return found
