@@ -6,7 +6,7 @@ keys: the wakeup. It then owns the state (`robot.host.ownership`) for a tick, em
 Work per tick is bounded, an overwritten message costs nothing, and a command wakes no other thread.
 
 The emergency stop has its own rings and receiver threads, so a flood of other keys does not delay it. Each further key
-with questions has its own thread, which waits for a wakeup without polling (`questions.WokenRing`).
+with questions has its own thread, which waits for a wakeup (`questions.WokenRing`).
 """
 
 import asyncio
