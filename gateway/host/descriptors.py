@@ -1,12 +1,14 @@
-"""File descriptors: enough for all clients, and a reserve for the SPI device.
+"""File descriptors: enough for all clients, and a reserve for what stops the robot.
 
 Each link takes one, and each silent connection to the TLS port takes one for at least 10 s; Zenoh limits neither. With
-none left, a failed SPI device could not be reopened, and no Stop would reach the robot.
+none left, a failed SPI device, UART or power board could not be reopened, and no Stop would reach the robot.
 """
 
+import errno
 import os
+from collections.abc import Callable
 from contextlib import suppress
-from typing import Final
+from typing import Final, TypeVar
 
 from gateway.errors import ConfigError
 from gateway.limits import ACCEPT_PENDING, MAX_SESSIONS
@@ -14,10 +16,11 @@ from gateway.limits import ACCEPT_PENDING, MAX_SESSIONS
 OWN: Final = 48
 """Descriptors of the service itself: 22 with TLS, metrics and a real device, and room for files opened briefly."""
 NEEDED: Final = OWN + MAX_SESSIONS + ACCEPT_PENDING
-SPARES_PER_OPENING: Final = 2
-"""Closed for each attempt to open the device: a real one needs one, an emulated one (umockdev) two."""
-SPARES: Final = 3 * SPARES_PER_OPENING
-"""Three attempts, since Zenoh may take the released descriptors before the device is opened."""
+_EACH: Final = 2
+"""Released for each attempt: an SPI device needs one (an emulated one two), a UART by pyserial five."""
+SPARES: Final = 4 * _EACH
+"""Four attempts, since Zenoh may take the released descriptors before the device is opened."""
+T = TypeVar("T")
 
 
 def ensure(needed: int = NEEDED, program: str = "the gateway") -> None:
@@ -45,21 +48,43 @@ def ensure(needed: int = NEEDED, program: str = "the gateway") -> None:
 
 
 class Spare:
-    """A reserve of open descriptors, released for the SPI device when no other is left."""
+    """A reserve of open descriptors, released for a device when no other is left. Of 0: no reserve."""
 
-    def __init__(self) -> None:
+    def __init__(self, most: int = SPARES) -> None:
+        self._most = most
         self._kept: list[int] = []
         self.fill()
 
     def give_up(self) -> bool:
-        """Close SPARES_PER_OPENING for the file opened next. Return False if none were left."""
-        given_up, self._kept = self._kept[:SPARES_PER_OPENING], self._kept[SPARES_PER_OPENING:]
-        for number in given_up:
+        """Release some for what is opened next. Return False if none were left."""
+        released, self._kept = self._kept[:_EACH], self._kept[_EACH:]
+        for number in released:
             os.close(number)
-        return bool(given_up)
+        return bool(released)
+
+    def open(self, opener: Callable[[], T]) -> T:
+        """Return what `opener` opens, or raise its error. Clients may hold all other descriptors."""
+        try:
+            while True:
+                more = self.give_up()
+                try:
+                    return opener()
+                except Exception as error:
+                    if not more or not _lacks_descriptors(error):
+                        raise
+        finally:
+            self.fill()
 
     def fill(self) -> None:
-        """Refill the reserve as far as possible. Call it after a device was opened or closed."""
+        """Refill the reserve as far as possible. Call it after a device was closed."""
         with suppress(OSError):
-            while len(self._kept) < SPARES:
+            while len(self._kept) < self._most:
                 self._kept.append(os.open(os.devnull, os.O_RDONLY | getattr(os, "O_CLOEXEC", 0)))
+
+
+NO_SPARE: Final = Spare(0)
+
+
+def _lacks_descriptors(error: BaseException | None) -> bool:
+    """Return whether this error, or one that it was raised from, is that no descriptor is left."""
+    return error is not None and (getattr(error, "errno", None) == errno.EMFILE or _lacks_descriptors(error.__cause__))

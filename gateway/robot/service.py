@@ -204,7 +204,7 @@ class _Service:
         failed = partial(report_mistake, loop, "a thread failed")
         power, channel = settings.power, simulated.board_channel
         power = power if channel is None else replace(power, interface="slcan", channel=channel)
-        self.line = PowerLine(power, failed) if power.interface else None
+        self.line = PowerLine(power, failed, spare=descriptors.Spare()) if power.interface else None
         self.outbox = ZenohOutbox()
         self.conductor = Conductor(
             settings,

@@ -50,7 +50,7 @@ def wire(settings: Settings, simulated: SimulatedParts) -> Wire:
             return cyclic(lambda: elkapod, lambda: elkapod)
         return cyclic(
             partial(KernelDevice, spi.device, spi.speed_hz, mode=protocol.spi_mode, spare=spare),
-            partial(SerialUart, settings.controller.uart),
+            partial(SerialUart, settings.controller.uart, spare=spare),
         )
     if simulated.controller:
         from gateway.simulation.controller import SimulatedController  # noqa: PLC0415  (likewise)
@@ -58,5 +58,5 @@ def wire(settings: Settings, simulated: SimulatedParts) -> Wire:
         framed = SimulatedController(spi.framing, on_change=_simulator.debug, page=simulated.page)
         return Bus(spi, lambda: framed)
     if protocol is None:
-        return plugin_bus(settings.wire)
+        return plugin_bus(settings.wire, spare=spare)
     return Bus(spi, partial(KernelDevice, spi.device, spi.speed_hz, spare=spare))

@@ -1,8 +1,13 @@
 """Visitors who take all file descriptors, or all sessions: the device is opened again, and an operator gets in."""
 
 import ipaddress
+import os
+import re
 import socket
+import subprocess
+import sys
 import time
+import tty
 from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 
@@ -51,6 +56,49 @@ def test_a_device_is_opened_again_while_strangers_hold_all_descriptors(tmp_path:
         assert {each.data.hex() for each in stopped} == set(STOPS)
         wait_until(lambda: anna.state().mode is Mode.IDLE)
         assert anna.estop().stop_frames == 6
+
+
+OPENING = """
+import os, resource, sys
+import can, serial  # as at the service's start, when descriptors were left
+from gateway.errors import SpiError
+from gateway.host.descriptors import NO_SPARE, Spare
+from gateway.host.settings_table import PowerSettings
+from gateway.robot.power.line import PowerLine
+from gateway.robot.power.slcan import Slcan
+from gateway.robot.spi.uart import SerialUart
+path, spare = os.ttyname(int(sys.argv[1])), Spare() if sys.argv[2] == "spare" else NO_SPARE
+line = PowerLine(PowerSettings("slcan", path), print, spare=spare)
+resource.setrlimit(resource.RLIMIT_NOFILE, (64, 64))
+taken = list()
+def take_all():
+    try:
+        while True:
+            taken.append(os.dup(1))
+    except OSError:
+        pass
+take_all()
+try:
+    SerialUart(path, spare=spare).close()
+except SpiError as error:
+    print(error)
+take_all()
+line._open()
+print("the board", line._bus is not None)
+"""
+
+
+@pytest.mark.parametrize(
+    ("spare", "said"), [("spare", "the board True\n"), ("none", r".*Too many open files.*\nthe board False\n")]
+)
+def test_a_uart_and_a_power_board_are_opened_where_no_descriptor_is_left(spare: str, said: str) -> None:
+    """pyserial needs five for each."""
+    line, end = os.openpty()
+    tty.setraw(end)
+    with os.fdopen(line), os.fdopen(end):
+        command = [sys.executable, "-c", OPENING, str(end), spare]
+        found = subprocess.run(command, pass_fds=[end], capture_output=True, text=True, check=False, timeout=60)
+    assert re.fullmatch(said, found.stdout), found
 
 
 # ---- sessions

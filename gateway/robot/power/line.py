@@ -14,10 +14,12 @@ import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.host import realtime
+from gateway.host.descriptors import NO_SPARE, Spare
 from gateway.host.settings_table import PowerSettings
 from gateway.model.power_board import CanFrame, set_supply
 from gateway.robot.power.board import Confirmed, News, PowerBoard, Status
@@ -43,14 +45,19 @@ class PowerLine:
         failed: Callable[[Exception], None],
         *,
         opener: "Callable[[PowerSettings], can.BusABC]" = open_bus,
+        spare: Spare = NO_SPARE,
     ) -> None:
-        """`failed` is called with an unexpected exception that ended one of the threads."""
+        """`failed` is called with an unexpected exception that ended one of the threads.
+
+        `spare` are descriptors kept for the interface while it is closed.
+        """
         self._settings = settings
         self._board = PowerBoard(settings.outputs, confirm_ns=round(settings.confirm_ms * NS_PER_MS))
         self.on_news: Callable[[list[News | Confirmed]], None] = lambda _: None
         """Called on the receiver's thread for news or a changed status. It must not wait."""
         self._failed = failed
         self._opener = opener
+        self._spare = spare
         self._requests: deque[Callable[[PowerBoard, int], None]] = deque()
         self._lock = threading.Lock()
         """Held while the board is used, not while frames are sent or received."""
@@ -112,7 +119,7 @@ class PowerLine:
     def _open(self) -> None:
         """Try to open the interface. Raises ConfigError if it never can."""
         with suppress(LineError):
-            bus = self._opener(self._settings)
+            bus = self._spare.open(partial(self._opener, self._settings))
             with self._lock:
                 self._bus = bus
                 self._board.opened(time.monotonic_ns())
@@ -173,6 +180,7 @@ class PowerLine:
             pass  # the receiver has begun anew; it must not wait for an adapter that hangs below
         with suppress(Exception):
             bus.shutdown()
+        self._spare.fill()
 
     # ---- the receiver
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from gateway.errors import BatchRejectedError, SpiError
-from gateway.host.descriptors import Spare
+from gateway.host.descriptors import NO_SPARE, Spare
 from gateway.robot.spi import Batch, DuplexDevice, SpiDevice
 from gateway.robot.spi.outside import Listener
 
@@ -67,7 +67,7 @@ class KernelDevice(SpiDevice, DuplexDevice):
     _spi: Any = None
 
     def __init__(
-        self, path: str, speed_hz: int, *, mode: int = 0, exclusive: bool = True, spare: Spare | None = None
+        self, path: str, speed_hz: int, *, mode: int = 0, exclusive: bool = True, spare: Spare = NO_SPARE
     ) -> None:
         """Open and set up the device. Raises SpiError with a sentence that states what is missing.
 
@@ -88,7 +88,7 @@ class KernelDevice(SpiDevice, DuplexDevice):
         # Every exception counts as a fault of the device: spidev has raised SystemError and TypeError when a kernel
         # behaved unexpectedly, and the gateway must get to its Stops.
         try:
-            self._open()
+            spare.open(self._open)
             if exclusive:
                 self._listener = Listener(self._spi.fileno())
             # This clears all flags: a flag of another program, such as "no chip select", outlives that program, and
@@ -103,22 +103,13 @@ class KernelDevice(SpiDevice, DuplexDevice):
             raise SpiError(_why_not_opened(path, error)) from error
 
     def _open(self) -> None:
-        """Open the device. Clients may hold all other descriptors, so spare ones are closed first."""
+        """Open the device by spidev, or without it as a file."""
         spidev = spidev_module()
-        while True:
-            more = self._spare is not None and self._spare.give_up()
-            try:
-                if spidev is None:
-                    self._spi = io.FileIO(self._path, "r+")
-                else:
-                    self._spi = spidev.SpiDev()
-                    self._spi.open_path(self._path)
-                break
-            except OSError as error:
-                if not more or error.errno != errno.EMFILE:
-                    raise
-        if self._spare is not None:
-            self._spare.fill()
+        if spidev is None:
+            self._spi = io.FileIO(self._path, "r+")
+        else:
+            self._spi = spidev.SpiDev()
+            self._spi.open_path(self._path)
 
     def transfer(self, batch: Batch) -> None:
         """Write the batch in one call. Raises SpiError if the transfer fails.
@@ -168,8 +159,7 @@ class KernelDevice(SpiDevice, DuplexDevice):
         self._listener = None
         with suppress(Exception):
             self._spi.close()
-        if self._spare is not None:
-            self._spare.fill()
+        self._spare.fill()
 
 
 @lru_cache(maxsize=256)

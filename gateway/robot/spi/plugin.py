@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from gateway.errors import ConfigError, SpiError
+from gateway.host.descriptors import NO_SPARE, Spare
 from gateway.host.directories import SERVICE_RUNTIME, runtime_directory
 from gateway.host.settings_table import SpiSettings, WireSettings
 from gateway.model.frames import OP_STOP, Framing, decode
@@ -28,13 +29,16 @@ SINGLY_NS: Final = 50_000_000
 _STOP_ALL: Final[tuple[tuple[int, float | None], ...]] = tuple((servo_id, None) for servo_id in SERVO_IDS)
 
 
-def plugin_bus(wire: WireSettings, *, exclusive: bool = True) -> Bus:
-    """Return the bus of a plug-in. `exclusive` is False for `stop-servos`. Raises ConfigError if it does not load."""
+def plugin_bus(wire: WireSettings, *, exclusive: bool = True, spare: Spare = NO_SPARE) -> Bus:
+    """Return the bus of a plug-in. `exclusive` is False for `stop-servos`. Raises ConfigError if it does not load.
+
+    `spare` are descriptors kept for it while it is closed.
+    """
     try:
         plugin = wire.plugin
     except ValueError as error:
         raise ConfigError(f"wire: {error}") from error
-    return Bus(_FRAMES, lambda: PluginDevice(wire.name, plugin, exclusive=exclusive))
+    return Bus(_FRAMES, lambda: spare.open(lambda: PluginDevice(wire.name, plugin, exclusive=exclusive)))
 
 
 class PluginDevice(SpiDevice):

@@ -2,9 +2,11 @@
 
 import os
 from contextlib import suppress
+from functools import partial
 from typing import Final, Protocol
 
 from gateway.errors import SpiError
+from gateway.host.descriptors import NO_SPARE, Spare
 from gateway.model.elkapod import UART_BAUD
 from gateway.own_command import install
 
@@ -31,21 +33,24 @@ class SerialUart(Uart):
     Reads and writes bypass pyserial, whose `select` takes no descriptor from 1024 on: clients may hold that many.
     """
 
-    def __init__(self, path: str, *, exclusive: bool = True) -> None:
+    def __init__(self, path: str, *, exclusive: bool = True, spare: Spare = NO_SPARE) -> None:
         """Open and set up the UART. `exclusive` (not for `stop-servos`) rejects a UART that another gateway holds.
 
-        Raises SpiError with a sentence that states what is missing.
+        `spare` are descriptors kept for it while it is closed. Raises SpiError with a sentence that states what is
+        missing.
         """
         try:
             import serial  # noqa: PLC0415  (a laptop needs none)
         except ImportError as error:
             raise SpiError(f"pyserial is not installed: {install('spi')}") from error
         self._path = path
+        self._spare = spare
         lock = True if exclusive else None
         two = serial.STOPBITS_TWO
+        # inter_byte_timeout sets VMIN to 1. With pyserial's own VMIN of 0, reading nothing looks like an end.
+        opener = partial(serial.Serial, path, UART_BAUD, stopbits=two, inter_byte_timeout=0, exclusive=lock)
         try:
-            # inter_byte_timeout sets VMIN to 1. With pyserial's own VMIN of 0, reading nothing looks like an end.
-            self._serial = serial.Serial(path, UART_BAUD, stopbits=two, inter_byte_timeout=0, exclusive=lock)
+            self._serial = spare.open(opener)
         except (OSError, ValueError) as error:
             raise SpiError(f"the UART {path} cannot be opened: {error}; name another with controller.uart") from error
 
@@ -71,3 +76,4 @@ class SerialUart(Uart):
     def close(self) -> None:
         with suppress(OSError):
             self._serial.close()
+        self._spare.fill()
