@@ -57,7 +57,7 @@ class Latch(Interlock[EmergencyStop | Reset | EstopKept]):
         if self.since_ns is None:
             return [Completed(reset)]
         self.since_ns = None
-        detail = "emergency stop left; nothing moves until it is started again"
+        detail = "the emergency stop has ended; nothing moves until somebody starts it"
         return [Announce(Kind.ESTOP_RESET, detail, reset.source, reset.key), Completed(reset)]
 
     # mutants accepted (Lt_LtE): equal numbers were answered before

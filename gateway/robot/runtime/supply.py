@@ -143,7 +143,7 @@ class RobotSupply:
         self._cut = self._cut or cuts
         self._to_feed = supervisor.legs.to_feed()
         self._ask(self._asked & self._to_feed.keys())
-        return [Announce(Kind.POWER_CUT, f"the servos' supply is taken, {why}", legs=tuple(LEGS))] if cuts else []
+        return [Announce(Kind.POWER_CUT, f"the servos' supply is cut, {why}", legs=tuple(LEGS))] if cuts else []
 
     def after_step(self) -> None:
         """Request the step's powering, after its frames."""
