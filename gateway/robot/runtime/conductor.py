@@ -90,7 +90,7 @@ class Conductor:
         self.reports = RobotReports(settings, supervisor, bus, line, self.outbox, self.recorder, self.clock)
         self.metrics = self.reports.metrics
         self.executor = Executor(bus, self.supply, self.reports, publish_frames=settings.telemetry.frames)
-        self._instant_ns = self.clock()
+        self._instant_ns = self.clock()  # mutants accepted (Forget): no instant is open before the first
         self.messages: Messages = NoMessages()
         """Where received messages come from."""
         self.numbers = count(1)
@@ -175,7 +175,6 @@ class Conductor:
     def _serve_estops(self, instant_ns: int) -> None:
         while self.messages.estops:
             self._emergency_stop(self.messages.estops.popleft(), instant_ns)
-            self._do_what_is_due(instant_ns)
 
     def record_alive(self) -> int:
         """Return now (ns) and record that the process runs. Call it ten times a second: a gap shows that it did not."""
@@ -387,7 +386,7 @@ class Conductor:
 
     # ---- time, and the preamble
 
-    def _arm(self) -> None:  # mutants accepted (Forget): a tick too many does nothing
+    def _arm(self) -> None:  # mutants accepted (Forget, Step): a tick too many does nothing; a time that is over
         """Set the timers for what is due next."""
         due_ns, bus = self.supervisor.due_ns, self._announcing
         if bus is not None:
@@ -409,11 +408,9 @@ class Conductor:
     def _preamble_ns(self, bus: Bus) -> int | None:
         """Return when to write the preamble of repeated Stops, or None if none is due or it is written."""
         repeat_ns = self.supervisor.legs.repeat_ns
-        if self.supervisor.due_ns is None or repeat_ns is None or bus.just_resynchronised:
-            return None
-        return repeat_ns - bus.preamble_ns
+        return None if repeat_ns is None or bus.just_resynchronised else repeat_ns - bus.preamble_ns
 
-    def _write_preamble(self) -> None:
+    def _write_preamble(self) -> None:  # mutants accepted (Step): a time that is over
         """Write a part of the preamble in a pause of a stream; the loop runs between the parts.
 
         A preamble in parts delays a Stop by one part at most, and is complete before Stops are repeated. Without a
@@ -423,9 +420,7 @@ class Conductor:
         if bus is None or not (bus.resync_due or self._is_due(self._preamble_ns(bus))):
             return  # a frame was written meanwhile, with its preamble
         try:
-            more = bus.write_zeros()
+            if bus.write_zeros():
+                self._preamble_timer.set_in(0)
         except SpiError as fault:
             self.bus_failed(fault)
-            return
-        if more:
-            self._preamble_timer.set_in(0)
