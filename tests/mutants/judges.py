@@ -22,7 +22,7 @@ def _people(names: str) -> tuple[str, ...]:
 _BACKLOG: Final = _robot("backlog")[0]
 _SETTINGS: Final = _tests("unit", "setting_effects")
 _CONDUCTOR: Final = (
-    *_robot("conductor conductor_safety lease_conductor"),
+    *_robot("conductor conductor_safety rejected_stops lease_conductor"),
     *_model("staleness"),
     *_robot("calibration_conductor outcome stop ownership"),
     *_SETTINGS,

@@ -102,9 +102,11 @@ async def test_a_deadline_that_passes_in_a_tick_is_of_its_instant(monkeypatch: p
     """So what the deadline stops is started by nothing that the same tick has taken."""
     robot = await started_and_quiet()
     robot.put(LEG_3, START)
+    robot.controller.transfers.clear()
+    begun_ms = robot.now_ns() / MS
     robot.each_takes_ns = 130 * MS
-    for _ in range(3):
-        robot.put_later(LEG_1, START)
+    for payload in (START, *[b"{"] * 4):
+        robot.put_later(LEG_1, payload)
     steps: list[tuple[type[events.Event], int | None]] = []
     step = robot.conductor.supervisor.step
 
@@ -116,11 +118,13 @@ async def test_a_deadline_that_passes_in_a_tick_is_of_its_instant(monkeypatch: p
     robot.conductor.tick()
     assert events.TimePassed in [kind for kind, _ in steps]
     assert len({instant_ns for _, instant_ns in steps}) == 1
+    (stopped_ms,) = [at_ms for at_ms, frame in robot.frames if frame == stop_leg(3)][:1]
+    assert stopped_ms - begun_ms == pytest.approx(260, abs=0.1), "between two messages, though none is a command"
 
 
 @pytest.mark.parametrize("verb", [Verb.PUT, Verb.GET])
 async def test_it_is_told_behind_the_stops_of_each_emergency_stop_and_at_its_reset(verb: Verb) -> None:
-    robot = await started_and_quiet()
+    robot = Robot()
     told: list[tuple[int, bool, int, str | None]] = []
 
     def note() -> None:
@@ -128,6 +132,8 @@ async def test_it_is_told_behind_the_stops_of_each_emergency_stop_and_at_its_res
         told.append((latch.number, latch.since_ns is not None, len(robot.frames), robot.conductor.reports.estop_source))
 
     robot.conductor.on_latch = note
+    robot.conductor.start()
+    await asyncio.sleep(6)
     for source in ("anna", "bert"):
         robot.controller.transfers.clear()
         robot.put(keys.ESTOP, {"source": source}, verb=verb)
@@ -141,7 +147,9 @@ async def test_it_is_told_behind_the_stops_of_each_emergency_stop_and_at_its_res
 # ---- messages that were lost in a flood of their key
 
 
-@pytest.mark.parametrize("left", [[], [leg("set", 1, 1, 1), leg("start", 200, 1, 1)]])
+@pytest.mark.parametrize(
+    "left", [[], [leg("set", 1, 1, 1), leg("start", 200, 1, 1)], [leg("start", 1, 1, 1, lease="0" * 32)]]
+)
 @pytest.mark.parametrize("key", [LEG_3, keys.LEGS_COMMAND, keys.servo_command(32)])
 async def test_a_stop_that_may_have_been_lost_counts_as_received(key: str, left: list[object]) -> None:
     robot = await started_and_quiet()
@@ -172,6 +180,11 @@ async def test_a_start_that_is_newer_than_what_was_lost_keeps_its_servos_running
     robot.put_later(LEG_3, verb=Verb.LOST)
     robot.put(LEG_3, {"servos": [servo("start", 1), servo("set", 1), servo("set", 1)]})
     assert robot.controller.energised == {31}
+    robot.put_later(LEG_3, verb=Verb.LOST)
+    robot.put_later(LEG_1, START)
+    robot.put(LEG_3, START)
+    await asyncio.sleep(0.1)
+    assert robot.controller.energised == {11, 12, 13, 31, 32, 33}, "also behind another key's"
 
 
 async def test_an_overflows_stop_is_nobodys_command_and_what_waited_is_rejected_for_it() -> None:
@@ -191,7 +204,7 @@ async def test_an_overflows_stop_is_nobodys_command_and_what_waited_is_rejected_
     state = robot.state()
     assert state.legs[2].source is None
     assert state.commands.accepted == accepted
-    assert (state.commands.overflows, state.commands.lost) == (2, 100)
+    assert (state.commands.overflows, state.commands.lost, state.commands.rejected) == (2, 100, 1)
 
 
 @pytest.mark.parametrize("verb", [Verb.PUT, Verb.GET])

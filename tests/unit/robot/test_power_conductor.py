@@ -78,6 +78,10 @@ async def test_a_servo_is_fed_while_it_runs_or_waits_to_be_started_and_at_no_oth
     assert robot.line.fed() == frozenset()
     await asyncio.sleep(0.1)
     assert [(ack.accepted, ack.confirmed) for ack in answers] == [(True, True)]
+    await starts(robot)
+    answers = robot.get(LEG_3, leg("stop", unknown=1))
+    await asyncio.sleep(0.1)
+    assert [(ack.accepted, ack.confirmed, (ack.confirmed_ms or 0) // 100) for ack in answers] == [(False, True, 0)]
 
 
 async def test_all_eighteen_start_within_1_4_s_at_once_and_their_watchdog_begins_then() -> None:
@@ -224,6 +228,7 @@ async def test_what_landed_while_the_board_was_silent_starts_without_a_reset() -
     robot = await runs(watchdog={"landing_ms": 500})
     robot.line.cable = False
     await asyncio.sleep(0.3)
+    assert [state.power.alive for state in robot.states[-1:] if state.power] == [False], "published at once"
     robot.line.cable = True
     await asyncio.sleep(UP_S)
     assert running(robot) == []

@@ -233,12 +233,12 @@ async def test_the_stops_of_a_stale_command_come(verb: Verb) -> None:
 
 
 @pytest.mark.virtual_time
-async def test_a_rejected_stop_does_not_feed_the_watchdog_and_a_later_start_of_its_channel_starts() -> None:
+@pytest.mark.parametrize("verb", [Verb.PUT, Verb.GET])
+async def test_a_rejected_stop_does_not_feed_the_watchdog_and_a_later_start_of_its_channel_starts(verb: Verb) -> None:
     robot = await running()
     await asyncio.sleep(0.2)
     robot.put(LEG_3, {"servos": [ODD, SET, SET]})
-    robot.put_later(LEG_3, {"servos": [ODD] * 3})
-    robot.put_later(LEG_3, leg("start", 10, 10, 10))
-    robot.conductor.tick()
+    robot.put_later(LEG_3, {"servos": [ODD] * 3}, verb=verb)
+    robot.put(LEG_3, leg("start", 10, 10, 10), verb=verb)
     await asyncio.sleep(0.1)
     assert stopped(robot) == set(SERVO_IDS) - {31, 32, 33}, "the others fell silent"

@@ -4,6 +4,7 @@ import asyncio
 import json
 from collections import Counter
 from collections.abc import Iterator
+from math import cos, radians, sin
 from pathlib import Path
 
 import pytest
@@ -64,6 +65,22 @@ async def test_where_nothing_was_measured_nothing_is_published_or_answered() -> 
     robot.conductor.close()
     robot.conductor.measured(MEASURED, robot.now_ns())
     assert published(robot) == [], "an answer that comes after the end changes nothing"
+
+
+@pytest.mark.parametrize(
+    ("volts", "tilt_deg", "kinds"),
+    [(7.0, 30.0, []), (6.99, 30.0, [Kind.BATTERY_LOW]), (7.0, 30.1, [Kind.FALLEN]), (7.0, None, [])],
+)
+async def test_limits_hold_at_their_edges_for_what_is_measured(
+    volts: float, tilt_deg: float | None, kinds: list[Kind]
+) -> None:
+    robot = started(wire=ELKAPOD, safety={"min_battery_v": 7, "max_tilt_deg": 30})
+    half = radians(tilt_deg or 0) / 2
+    orientation = (0.0,) * 4 if tilt_deg is None else (cos(half), sin(half), 0.0, 0.0)
+    for _ in range(2):
+        robot.conductor.measured(MEASURED._replace(voltage_v=volts, orientation_wxyz=orientation), robot.now_ns())
+        await asyncio.sleep(0.2)
+    assert [event.kind for event in robot.events() if event.kind in {Kind.BATTERY_LOW, Kind.FALLEN}] == kinds
 
 
 # ---- the state
