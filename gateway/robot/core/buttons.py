@@ -84,10 +84,6 @@ class Buttons(Interlock[ButtonRequest]):
     def __init__(self, rules: Rules, legs: Legs) -> None:
         super().__init__(rules, legs)
         self._by_token: dict[str, Registration] = {}
-        self.alive = 0
-        """How many certificates (without proofs: names) with an alive button that counts."""
-        self.due_ns: int | None = None
-        """When the next button falls silent (ns); None if none is alive."""
         self._count_alive(None)
 
     @property
@@ -181,7 +177,9 @@ class Buttons(Interlock[ButtonRequest]):
         """Count the buttons that are alive. Return whether they have just become too few. None: at the beginning."""
         alive = [button for button in self._by_token.values() if button.until_ns is not None]
         self.due_ns = min((button.until_ns for button in alive if button.until_ns is not None), default=None)
+        """When the next button falls silent (ns); None if none is alive."""
         self.alive = len({(each.holder, each.name if each.holder is None else "") for each in alive if each.counts})
+        """How many certificates (without proofs: names) with an alive button that counts."""
         self.objection = Reason.NO_BUTTON, f"{self._count()}; nothing moves until enough check in (a page's /button)"
         before, self.closed = self.down, self.alive < self._rules.buttons_required
         self.down = (before or Down("too few buttons are alive", at_ns)) if self.closed else None

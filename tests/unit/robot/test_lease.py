@@ -91,6 +91,7 @@ SCENES: Final = {
         5 lease acquire anna (fresh anna)
         6 leg 1 start 90 (lease anna) → command 1 start 90; completed 4
         7 lease release (token anna)
+        announces anna has released the lease
         30 leg 1 set 45 → rejected 5 no_lease""",
     "what others had waiting is dropped for a new holder": """
         1 leg 3 start 90
