@@ -144,7 +144,7 @@ class Conductor:
 
     # ---- what happens
 
-    def tick(self) -> None:  # mutants accepted (FalseWithTrue, TrueWithFalse): a look too many finds nothing
+    def tick(self) -> None:
         """Take the received messages and do what is due.
 
         A tick is an instant or a part of one: the order of an instant's messages is unknown.

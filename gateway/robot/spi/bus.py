@@ -91,6 +91,7 @@ class Bus(Wire):
         self._pause = pause
         self.announces = settings.framing is Framing.LENGTH_PREFIXED
         """Whether frames have announcements, so that a controller can be out of sync."""
+        # mutants accepted (Step): an empty range
         self._avoid_cdeg = range(*settings.framing.avoid_cdeg) if settings.framing.avoid_cdeg else range(0)
         self._size = 2 if self.announces else 1
         self._gap_us = ceil(settings.frame_gap_us)
@@ -98,20 +99,22 @@ class Bus(Wire):
         self.preamble_ns = PREAMBLE_ZEROS * (self._zero[1] * 1000 + ZERO_NS)
         """The longest time of a preamble in parts."""
         gap_ns, byte_ns = self._gap_us * 1000 + CS_CHANGE_NS, 8_000_000_000 // settings.speed_hz
+        # mutants accepted (Step): a nanosecond
         frame_ns = byte_ns * ONE_LEG_LEN + (byte_ns + gap_ns if self.announces else 0)
         self._most_moves = (LONGEST_NS + gap_ns) // (frame_ns + gap_ns)
         self._device: SpiDevice | None = None
-        self._most = self._stops_at_once = 1  # mutants accepted (Step): opening sets them
+        self._most = self._stops_at_once = 1  # mutants accepted (Forget, Step): opening sets them
         """The most transfers of a call, and the most Stops."""
         self._lists = True  # until the kernel rejects one
         self._awaited = ANYTHING if self.announces else NOTHING
+        # mutants accepted (FalseWithTrue, Forget): opening sets it
         self._suspect = False  # the device was reopened, and the controller may be out of sync since
         self._slow = False  # a call failed slowly, and no `write` since then passed all Stops and a preamble
         self._received: set[bytes] = set()  # Stops that the controller received since Stops began to fail
-        self._ended_ns = 0  # when the last call ended
-        self._synchronised_ns = 0  # when the last preamble ended
-        self._zeros = 0  # in a row, since the last other transfer
-        self._failures = 0  # of calls, in a row
+        self._ended_ns = 0  # when the last call ended  # mutants accepted (Step): long ago
+        self._synchronised_ns = 0  # when the last preamble ended  # mutants accepted (Step): long ago
+        self._zeros = 0  # in a row, since the last other transfer  # mutants accepted (Forget, Step): opening sets it
+        self._failures = 0  # of calls, in a row  # mutants accepted (Step): counting begins anew for Stops
         self._zeros_failed = 0  # calls of zeros, in a row
 
     def open(self) -> None:
@@ -161,6 +164,7 @@ class Bus(Wire):
             self._received.clear()
         return report
 
+    # mutants accepted (Step): fewer zeros than none are none
     def _write_batches(
         self, frames: Sequence[Frame], report: BatchReport, now_ns: int, *, stops: bool, preamble: bool
     ) -> None:
@@ -279,6 +283,7 @@ class Bus(Wire):
         """
         written_ns = None
         for data, pause_us in batch:
+            # mutants accepted (Gt_GtE): equal times
             if written_ns is not None and self._clock() - written_ns > STALE_NS:
                 raise SpiError("this program was suspended between the two transfers of a frame")
             written_ns = self._clock()
@@ -315,6 +320,7 @@ class Bus(Wire):
                     continue
                 if place in left:  # a Stop that fails or may be lost is tried again after the others
                     left = [*(each for each in left if each != place), place]
+                # mutants accepted (Step): fewer zeros than none are none
                 self._call(report, 0, (frames[place],), place)
                 if report.sent[-1].received:
                     left = [each for each in left if each != place]

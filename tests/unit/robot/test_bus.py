@@ -40,7 +40,8 @@ PREFIXED_SCENES: Final = {
     "it goes before a repeated run of stops and never before a first one": """
         move; stop 1 → m 1
         repeat 1 → 16z1
-        stop 2 → 2""",
+        stop 2 → 2
+        zeros; repeat 1 → 8z 8z1""",
     "zeros in a pause end with the whole of it": """
         zeros → 8z; more True; whole False
         zeros → 8z; more False; whole True
@@ -72,7 +73,10 @@ PREFIXED_SCENES: Final = {
         move → 8z 8z m
         stop → 6 5 4 3 2 1 8z 8z
         stop → 123456""",
-    "a call of stops that stalled is no call of zeros that failed": "stalls 900; stop 1 → 1 z …; fault took 0.9 s",
+    "a call of stops that stalled is no call of zeros that failed": """
+        stalls 900; fail with z; failing-takes 10; stop 1 → 1 z z 1 z z z 1 …; fault took 0.9 s""",
+    "five zeros in a row must fail before stops are tried without": """
+        open; fail 1 2 3 4 5 7 8 9 10 11; stop 1 → 16z1 1 1 1 z z z z z z z 1 …; fault failed""",
     "a stop that passed is written again where that is the shortest way back": f"""{SLOW}
         move → 8z 8z m
         failing-takes 20; fail with 2; servo 2 → s 2 2 2 2 s s 2 …; fault failed""",
@@ -93,7 +97,8 @@ PLAIN_SCENES: Final = {
         fail none; stop → 6 5 4 3 2 1""",
     "a leg whose stop did not pass comes first the next time": """
         fail with 1; stop → 123456 6 5 4 3 2 1 1 …; fault failed
-        fail 1; stop → 123456 1 6 5 4 3 2; fault failed""",
+        fail 1; stop → 123456 1 6 5 4 3 2; fault failed
+        fail none; stop; fail 1; stop → 123456 123456 6 5 4 3 2 1; fault failed  # all have passed between""",
     "what a kernel rejects as a list is written one by one at once, and so is all that follows": """
         lists off; stop → 1 2 3 4 5 6; rejection no lists here; sent 123456
         stop → 1 2 3 4 5 6; rejection None  # published once

@@ -61,6 +61,11 @@ def test_zeros_of_a_stream_are_written_in_parts(most: int, takes_lists: bool, si
     assert [bench.bus.write_zeros() for _ in sizes] == [True] * (len(sizes) - 1) + [False]
     assert bench.sizes == sizes
     assert all(wire_ns(batch) <= LONGEST_NS for batch in bench.batches)
+    bench.bus.write(STOPS[:1])
+    bench.fails = lambda *_: True
+    with pytest.raises(SpiError, match="z failed"):
+        bench.bus.write_zeros()
+    assert bench.bus.errors == 1
 
 
 @pytest.mark.parametrize(("frame_gap_us", "preamble_ms"), [(50, 4.0), (400, 8.8)])
