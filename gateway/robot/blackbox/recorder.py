@@ -49,13 +49,12 @@ def copy(ring: Path, newest: int) -> None:
         with ring.open("rb") as source, durable.replacing(copy_path(ring, newest), staged):
             head = source.read(form.HEADER_BYTES)
             slots = form.slots_of(head, os.fstat(source.fileno()).st_size)
-            count = max(1, slots // COPIED_SHARE)
+            count = slots // COPIED_SHARE
             with open(staged, "xb", opener=partial(os.open, mode=0o600)) as target:
                 target.write(form.new_header(count))
-                number = max(1, newest + 1 - count)
+                number = max(1, newest + 1 - count)  # mutants accepted (Step): no record is 0
                 while number <= newest:
-                    run = min(CHUNK, newest + 1 - number, slots - number % slots, count - number % count)
-                    target.seek(form.HEADER_BYTES + number % count * form.SLOT)
+                    run = min(CHUNK, newest + 1 - number, slots - number % slots)
                     begin = form.HEADER_BYTES + number % slots * form.SLOT
                     target.write(os.pread(source.fileno(), run * form.SLOT, begin))
                     number += run
@@ -139,10 +138,11 @@ class Recorder:
         self._shares = RecordShares(rings.client_records_a_second(settings))
         self._waiting: list[tuple[int, int, bytes]] = []
         """Records before the ring is open, for which the first Stops do not wait."""
-        self._clock_ns = 0  # of the latest record of the wall clock
+        self._clock_ns = 0  # of the latest record of the wall clock  # mutants accepted (Step): long ago
         self._about_ns = clock()
         self._calibration = b""
         self._measured_ns = -MEASURED_NS
+        # mutants accepted (Step): an incident sets them
         self._first_ns = self._until_ns = 0  # begin and end of the latest incident
         self._copy_due = self._runs = False
         self._ran = True  # since the latest copy
@@ -200,20 +200,20 @@ class Recorder:
         if received is not None or decided or (written and written[0][0].cause is _ESTOP):
             request = received or (decided[0][0] if decided else None)
             source = None if request is None else request.source  # an emergency stop's is read after its Stops
-            now_ns = written[0][1].ns if written else self._clock()
+            now_ns = written[0][1].ns if written else self._clock()  # mutants accepted (Step): some ms
             alone = not written and received is not None  # a command has a record, besides its outcome's
             count = len(written) + len(decided) + alone
             if not self._shares.admit(source, count, now_ns):
                 return
         accepted = 0  # the number of a command accepted with the step's only frame: it needs no Decision
         if len(written) == 1:
-            commands = written[0][0].commands
+            commands = written[0][0].commands  # mutants accepted (Step): the only one
             for request, verdict, _ in decided:
                 if verdict == ACCEPTED and commands == (request,):
                     accepted = request.number
         if (one := received) is not None:
             if accepted == one.number != 0 and len(decided) == 1 and self._ring is not None:
-                transmit, sent = written[0]
+                transmit, sent = written[0]  # mutants accepted (Step): the only one
                 body = form.carried_out(
                     self._ring.sequence, one.received_ns, one.number, one.verb, one.key, one.source,
                     one.sent_ms, one.targets, transmit.frame.data, sent.ns, sent.call_ns,
@@ -250,7 +250,7 @@ class Recorder:
             self._append(form.EVENT, now_ns, fields)
         return None if what is None else self._happened(what, now_ns)
 
-    def beat(self, lag_ns: int) -> None:
+    def beat(self, lag_ns: int) -> None:  # mutants accepted (Gt_GtE, GtE_Gt): equal times
         """Record a timer that was `lag_ns` late, and the periodic records. Call it ten times a second."""
         if self._folder is None:
             return

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from gateway.model.black_box import RING_FILE
+from gateway.model.black_box import MISTAKE, RING_FILE
 from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.model.frames import Framing, decode
 from gateway.people.recorder import ring_reader as rec
@@ -51,6 +51,8 @@ async def test_what_was_in_force_is_known_after_any_time_and_across_runs(folder:
         await asyncio.sleep(1)
         for _ in range(100):
             robot.conductor.recorder.beat(1_000_000_000)
+    assert 70 <= len(contents(folder, rec.WallTime)) <= 80, "one in a second"
+    assert 10 <= len(contents(folder, rec.About)) <= 17, "one in five seconds"
     records = rec.read(folder / RING_FILE)
     assert records.times_ns[0] > max(revisions)
     assert (in_force(records, robot.now_ns()), in_force(records, min(revisions))) == (2, 2)
@@ -165,6 +167,8 @@ async def test_a_command_that_broke_the_gateway_is_there(folder: Path, monkeypat
         robot.put(LEG_3, START)
     robot.conductor.recorder.mistake("a mistake in the gateway ended it")
     assert contents(folder, rec.CommandRecord)[-1].source == "anna"
+    (mistake,) = [each for each in contents(folder, rec.EventPublished) if each.kind == MISTAKE]
+    assert mistake == (MISTAKE, None, None, None, "a mistake in the gateway ended it", 0)
 
 
 @pytest.mark.parametrize("why", ["Not a directory", "No space left on device"])

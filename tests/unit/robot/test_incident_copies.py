@@ -10,7 +10,7 @@ import pytest
 
 from gateway import durable
 from gateway.model import black_box as form
-from gateway.model.black_box import COPIED_SHARE, RING_FILE, copies_of, copy_path
+from gateway.model.black_box import COPIED_SHARE, MOST_COPIES, RING_FILE, copies_of, copy_path
 from gateway.onboard import black_box
 from gateway.people.recorder import ring_reader as rec
 from gateway.people.recorder.incidents import find
@@ -26,7 +26,7 @@ from tests.support.robot import LEG_3, Robot, leg, servo
 from tests.support.waiting import wait_until
 from tests.unit.people.test_recorder import contents, recorded
 
-SLOTS: Final = 160
+SLOTS: Final = 163
 FLOOD_S: Final = 150
 """All records that messages may make at 2 commands a second overwrite the ring in 115 s."""
 SERVO: Final = keys.servo_command(31)
@@ -67,7 +67,8 @@ async def test_a_flood_that_overwrites_the_whole_ring_leaves_what_precedes_the_i
     settings = {"limits": {"leg_rate_hz": 2}, "state": {"path": str(folder)}}
     robot = recorded(folder, limits=settings["limits"])
     await incident(robot)
-    assert len(copied(folder, 1)) == 1
+    ring = (folder / RING_FILE).resolve()
+    assert copied(folder, 1) == [copy_path(ring, parse(ring.read_bytes())[-1].sequence - 1)], "all before the clock's"
     for second in range(FLOOD_S):
         for number in range(40):
             FLOODS[flood](robot, 40 * second + number)
@@ -93,6 +94,7 @@ SPOILS: Final[dict[str, Callable[[Path], object]]] = {
     "the disk is full": lambda _: None,  # the limit on a file's size stands for it
     "its name is taken": lambda ring: durable.staged_for(ring).mkdir(),
     "the ring is gone": lambda ring: ring.rename(ring.with_name("elsewhere")),
+    "the ring is another file": lambda ring: [ring.rename(f"{ring}-moved"), ring.write_bytes(bytes(9000))],
 }
 
 
@@ -107,11 +109,23 @@ async def test_a_copy_that_fails_is_logged_and_stops_nothing(
     with disk_that_takes(1000 if spoil == "the disk is full" else 10**9):
         await incident(robot)
         robot.conductor.recorder.close()
+    robot.conductor.recorder.mistake("after the end")
+    assert robot.conductor.recorder.incidents == 1
     assert copies_of(ring) == []
     assert not durable.staged_for(ring).is_file()
     said = [entry.message for entry in caplog.records if "incident" in entry.message]
     assert len(said) == 1
-    assert said[0].startswith("the time before this incident is not copied, and is lost after a minute: [Errno ")
+    assert said[0].startswith("the time before this incident is not copied, and is lost after a minute: ")
+
+
+@pytest.mark.virtual_time
+async def test_each_incident_of_a_robot_that_ran_is_copied_at_the_end_at_the_latest(folder: Path) -> None:
+    robot = recorded(folder)
+    for number in (1, 2):
+        await incident(robot)
+        robot.put(keys.RESET, {"estop": number})
+    robot.conductor.recorder.close()
+    assert len(copies_of((folder / RING_FILE).resolve())) == 2
 
 
 # ---- a copy's bytes
@@ -129,12 +143,13 @@ def sequences(file: Path) -> list[int]:
     return [record.sequence for record in rec.read(file)]
 
 
-@pytest.mark.parametrize("newest", [1, 5, 19, 20, 21, 159, 160, 161, 170, 1003])
+@pytest.mark.parametrize("newest", [1, 5, 19, 20, 21, 162, 163, 164, 170, 1003])
 def test_a_copy_has_the_newest_records_and_the_ring_goes_on_behind_them(tmp_path: Path, newest: int) -> None:
     ring = tmp_path / RING_FILE
     filled(ring, newest)
     recorder.copy(ring, newest)
     (copy,) = copies_of(ring)
+    assert copy.stat().st_mode & 0o777 == 0o600
     records = parse(copy.read_bytes())
     kept = list(range(max(1, newest - SLOTS // COPIED_SHARE + 1), newest + 1))
     assert [record.sequence for record in records] == kept
@@ -153,7 +168,15 @@ def test_a_copy_that_is_not_whole_is_left_out(tmp_path: Path, bytes_left: int) -
     filled(ring, 400, 101)
     assert sequences(ring)[0] == 81
     os.truncate(copies_of(ring)[0], bytes_left)
-    assert sequences(ring) == list(range(241, 401))
+    assert sequences(ring) == list(range(401 - SLOTS, 401))
+
+
+def test_the_newest_copies_are_kept(tmp_path: Path) -> None:
+    ring = tmp_path / RING_FILE
+    filled(ring, 100)
+    for newest in range(50, 70):
+        recorder.copy(ring, newest)
+    assert copies_of(ring) == [copy_path(ring, newest) for newest in range(70 - MOST_COPIES, 70)]
 
 
 def test_half_a_copy_of_a_process_that_was_killed_is_in_nobodys_way(tmp_path: Path) -> None:
@@ -179,12 +202,18 @@ def test_one_source_leaves_some_for_others_and_what_is_left_out_is_counted_once(
     assert written("anna") == 1000 - SHARE * 1000
     assert dict(shares.left_out()) == {"flood": 4250, "anna": 4750}
     assert shares.left_out() == []
+    assert sum(shares.admit("flood", 1, 500_000_000) for _ in range(5000)) == pytest.approx(SHARE * 500, abs=1)
 
 
 @pytest.mark.virtual_time
-async def test_modes_that_change_in_turns_overwrite_no_ring(folder: Path) -> None:
+async def test_modes_that_change_in_turns_and_what_is_rejected_overwrite_no_ring(folder: Path) -> None:
     robot = recorded(folder, limits={"leg_rate_hz": 2})
     for _ in range(2000):
+        robot.put(LEG_3, b"{", source="flood")
         robot.conductor.recorder.mode(Mode.ESTOPPED)
         robot.conductor.recorder.mode(Mode.IDLE)
+    await asyncio.sleep(1)
+    beat(robot)
     assert 0 < len([each for each in contents(folder, rec.Noted) if each.what == "mode"]) < 200
+    assert 0 < len(contents(folder, rec.Decision)) < 200
+    assert "flood" in [each.source for each in contents(folder, rec.Noted) if each.what == "left_out"]
