@@ -101,11 +101,7 @@ JUDGES: Final = {
         *_robot("conductor telemetry elkapod_conductor power_conductor"),
     ),
     "gateway/robot/runtime/estop_keeper.py": _robot("estop_file"),
-    "gateway/robot/blackbox/recorder.py": (
-        *_people("recorder"),
-        *_robot("incident_copies conductor calibration_conductor telemetry"),
-        *_people("ring"),
-    ),
+    "gateway/robot/blackbox/recorder.py": (*_CONDUCTOR, *_robot("incident_copies telemetry"), *_people("ring")),
     # rules of the people's wing, with the time as an argument
     "gateway/allowance.py": _tests("unit", "allowance"),
     "gateway/people/ros2/own_stop.py": _people("ros2_own_stop times"),

@@ -37,7 +37,7 @@ CHUNK: Final = 4096
 """Records copied at a time: half a megabyte of memory."""
 MOST_WAITING: Final = 4096
 """Records that wait for the ring: a disk that hangs must not fill the memory."""
-CLOSE_S: Final = 1.0
+CLOSE_S: Final = 1.0  # mutants accepted (Step): a bound of something quicker
 """Longest wait for a copy; one of the largest ring takes about 10 ms."""
 
 
@@ -196,8 +196,10 @@ class Recorder:
         omitted. Steps without a message, such as the watchdog's, are always recorded.
         """
         if self._folder is None:
-            return
+            return  # mutants accepted (Forget): nothing is kept all the same
+        # mutants accepted (Step): Stops of one cause
         if received is not None or decided or (written and written[0][0].cause is _ESTOP):
+            # mutants accepted (Step): without a command, one source is decided about
             request = received or (decided[0][0] if decided else None)
             source = None if request is None else request.source  # an emergency stop's is read after its Stops
             now_ns = written[0][1].ns if written else self._clock()  # mutants accepted (Step): some ms
@@ -253,7 +255,7 @@ class Recorder:
     def beat(self, lag_ns: int) -> None:  # mutants accepted (Gt_GtE, GtE_Gt): equal times
         """Record a timer that was `lag_ns` late, and the periodic records. Call it ten times a second."""
         if self._folder is None:
-            return
+            return  # mutants accepted (Forget): nothing is kept all the same
         now_ns = self._clock()
         if self._ring is not None:
             self._copy(self._ring, now_ns)
@@ -300,7 +302,7 @@ class Recorder:
         """Record the end, after the last Stops."""
         self._append(form.END, self._clock(), form.fields("end", why))
 
-    def _begins(self, now_ns: int) -> bool:
+    def _begins(self, now_ns: int) -> bool:  # mutants accepted (Gt_GtE): equal times
         """Return whether an incident now would be a new one, and not prolong the latest."""
         return self.incident is None or now_ns > min(self._until_ns, self._first_ns + form.LONGEST_INCIDENT_NS)
 

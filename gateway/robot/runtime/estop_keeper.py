@@ -148,6 +148,7 @@ class EstopKeeper:
             self._show()
         else:
             self._wanted = KeptEstop(latch.number, True, self._conductor.reports.estop_source, reports.estop_since)
+        # mutants accepted (Step): any number
         at_once = self._wanted.engaged != (before or self._written or KeptEstop(0)).engaged
         if self._wanted != self._written and (at_once or self._idle.is_set()):
             self._idle.clear()
@@ -219,6 +220,7 @@ class EstopKeeper:
             return
         self._show()
         if before is None:
+            # mutants accepted (AndWithOr): something is wanted by then
             engaged = self._wanted is not None and self._wanted.engaged
             what = "the emergency stop" if engaged else "the end of the emergency stop"
             then = "may forget it" if engaged else "engages it again"
@@ -254,7 +256,7 @@ def read(folder: Path) -> KeptEstop:
     It counts as engaged if the files cannot be read, or the folder cannot be written: an earlier run may have failed to
     keep it.
     """
-    last = 0
+    last = 0  # mutants accepted (Step): without the folder any number will do
     try:
         os.listdir(folder)  # raises for a missing folder, whose missing files mean nothing
         try:

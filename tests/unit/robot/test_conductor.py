@@ -51,23 +51,18 @@ async def test_what_comes_after_the_end_changes_nothing() -> None:
     robot = FedRobot()
     await asyncio.sleep(1)
     waiting = robot.get(keys.ESTOP)
+    robot.conductor.bus_failed(SpiError("unplugged"))
     robot.conductor.close()
     assert [ack.confirmed for ack in waiting] == [False], "what waits for the power board is answered"
     robot.reports.clear()
+    robot.controller.transfers.clear()
     robot.conductor.power_changed([])
     robot.conductor.bus_failed(SpiError("timed out"))
     answers: list[bytes] = []
     robot.leases.read(b'{"do": "acquire", "source": "anna"}', 0, answers.append)()
     robot.buttons.read(b'{"do": "register", "source": "kitchen"}', 0, answers.append)()
-    assert (robot.reports, answers, robot.mode) == ([], [], Mode.ESTOPPED)
-
-
-async def test_a_device_at_fault_is_not_opened_after_the_end() -> None:
-    robot = await started_and_quiet()
-    robot.conductor.bus_failed(SpiError("timed out"))
-    robot.conductor.close()
     await asyncio.sleep(1)
-    assert robot.frames == []
+    assert (robot.reports, robot.frames, answers, robot.mode) == ([], [], [], Mode.BUS_FAULT), "no device is opened"
 
 
 async def test_a_controller_is_found_silent_though_a_transfer_hangs(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -190,7 +190,9 @@ async def test_a_disk_that_takes_it_again_ends_the_fault(kept: Kept, tmp_path: P
     (tmp_path / ESTOP_FILE).rmdir()
     await until(lambda: number_kept(tmp_path) == 1)
     await until(lambda: robot.conductor.reports.estop_fault is None)
-    assert len(robot.events(Kind.ESTOP_NOT_KEPT)) == 1
+    (event,) = robot.events(Kind.ESTOP_NOT_KEPT)
+    assert event.key == keys.ESTOP
+    assert str(event.detail).startswith("the emergency stop is not kept, so a restart may forget it: ")
     assert robot.states[-1].estop_fault is None
 
 
@@ -200,6 +202,11 @@ async def test_one_that_is_kept_already_is_not_written_again(tmp_path: Path, mon
     await keeper.known()
     assert (robot.mode, robot.conductor.supervisor.latch.number) == (Mode.ESTOPPED, ENGAGED.number)
     assert keeper._idle.is_set()
+    keeper.announce_start()
+    (event,) = robot.events(Kind.ESTOP_KEPT)
+    assert str(event.detail).startswith(
+        "emergency stop 7 of 2026-11-26 04:30:00 UTC, by anna is still engaged; make sure"
+    )
     robot.conductor.close()
 
 
@@ -232,6 +239,9 @@ async def test_beside_another_gateway_it_counts_as_engaged_and_removes_nothing(
     assert robot.mode == Mode.ESTOPPED
     assert number >= UNHEARD_OF
     assert "another gateway" in str(robot.conductor.reports.estop_fault)
+    keeper.announce_start()
+    (event,) = robot.events(Kind.ESTOP_KEPT)
+    assert str(event.detail).startswith(f"emergency stop {number} is engaged, since it is not known what an earlier ")
     os.close(other_gateway)  # it ends without a reset
     robot.put(keys.RESET, {"estop": number})
     await until(lambda: bool(robot.events(Kind.ESTOP_NOT_KEPT)))
