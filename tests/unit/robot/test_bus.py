@@ -97,8 +97,10 @@ PLAIN_SCENES: Final = {
         fail none; stop → 6 5 4 3 2 1""",
     "a leg whose stop did not pass comes first the next time": """
         fail with 1; stop → 123456 6 5 4 3 2 1 1 …; fault failed
-        fail 1; stop → 123456 1 6 5 4 3 2; fault failed
-        fail none; stop; fail 1; stop → 123456 123456 6 5 4 3 2 1; fault failed  # all have passed between""",
+        fail none; stop → 123456
+        fail 1; stop → 123456 6 5 4 3 2 1; fault failed  # all have passed between
+        fail none; stop; fail with 1; stop → 123456 123456 6 5 4 3 2 1 1 …; fault failed
+        fail 1; stop → 123456 1 6 5 4 3 2; fault failed""",
     "what a kernel rejects as a list is written one by one at once, and so is all that follows": """
         lists off; stop → 1 2 3 4 5 6; rejection no lists here; sent 123456
         stop → 1 2 3 4 5 6; rejection None  # published once
