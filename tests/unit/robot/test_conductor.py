@@ -111,7 +111,6 @@ async def test_the_black_box_has_each_command_that_stops_with_its_sender_and_tim
     robot = recorded(folder)
     robot.put(LEG_3, START)
     robot.put(LEG_3, verb=Verb.LOST)
-    robot.sleep_through(0.1)
     received_ns = robot.now_ns()
     robot.sleep_through(0.1)
     robot.put_later(LEG_3, leg("stop", source="bert", unknown=1), verb=Verb.GET, source="bert", received_ns=received_ns)
@@ -191,6 +190,8 @@ async def test_at_the_end_the_stops_and_their_repeats_leave(monkeypatch: pytest.
     assert robot.conductor.done.is_set()
     assert [event.detail for event in robot.events(Kind.BUS_MEDDLED)] == ["mode 3", "mode 1"]
     assert not robot.events(Kind.BUS_FAULT)
+    robot.conductor.close()
+    assert robot.bus.stop_servos_at_work() is None, "a closed device shows nothing"
 
 
 async def test_the_first_stops_leave_at_once_and_each_repeat_finds_its_preamble_written() -> None:
