@@ -167,8 +167,8 @@ async def test_a_command_that_broke_the_gateway_is_there(folder: Path, monkeypat
         robot.put(LEG_3, START)
     robot.conductor.recorder.mistake("a mistake in the gateway ended it")
     assert contents(folder, rec.CommandRecord)[-1].source == "anna"
-    (mistake,) = [each for each in contents(folder, rec.EventPublished) if each.kind == MISTAKE]
-    assert mistake == (MISTAKE, None, None, None, "a mistake in the gateway ended it", 0)
+    mistake = rec.EventPublished(MISTAKE, None, None, None, "a mistake in the gateway ended it", 0)
+    assert contents(folder, rec.EventPublished)[-1] == mistake
 
 
 @pytest.mark.parametrize("why", ["Not a directory", "No space left on device"])

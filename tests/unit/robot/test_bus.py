@@ -29,7 +29,7 @@ SLOW: Final = "fail 1; failing-takes 200; move → m; fault failed\n failing-tak
 PREFIXED_SCENES: Final = {
     # ---- when the preamble is written, and when not
     "a frame that moves has the preamble ahead after opening, and nothing has after it": """
-        open → nothing
+        zeros; open → 8z
         move → 8z 8z m
         move → m""",
     "so has a stop, in its call": """
@@ -68,6 +68,7 @@ PREFIXED_SCENES: Final = {
         fail 1; stop → 123456 6 5 4 3 2 1 6; fault 123456 failed; sent 6?543216; errors 1""",
     "stops that passed one by one after a fault are followed by no preamble": f"""{SLOW}
         fail 1; stop → 6 5 4 3 2 1 6 5; fault failed""",
+    "stops that are not tried in time are a fault": f"{SLOW}stalls 300; stop → 6; fault did not accept all Stops",
     "a frame that moves is not tried again": "fail 1; moves → mmmmmm; fault failed; sent",
     "stops leave together again once all have passed, and a frame that moves does not count": f"""{SLOW}
         move → 8z 8z m

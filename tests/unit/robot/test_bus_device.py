@@ -114,9 +114,10 @@ def test_a_frames_time_is_the_end_of_its_call() -> None:
 def test_without_lists_the_same_is_written_transfer_by_transfer(framing: Framing) -> None:
     bench = Bench(framing)
     bench.takes_lists = False
+    bench.pause_stall_ns = 499_000_000
     assert bench.bus.write(STOPS).fault is None
-    assert set(bench.sizes) == {1}
-    assert {batch[0][1] for batch in bench.batches} == {0}, "the pauses are slept"
+    assert {(len(batch), batch[0][1]) for batch in bench.batches} == {(1, 0)}
+    assert bench.now_ns % 1_000_000 == 50_000 * len(bench.batches), "the pauses are slept"
     assert bench.written == on_wire(framing, *STOPS)
 
 
