@@ -2,7 +2,6 @@
 
 import asyncio
 import logging
-from collections.abc import Callable
 from itertools import groupby, permutations
 from pathlib import Path
 
@@ -145,19 +144,10 @@ async def meddled(monkeypatch: pytest.MonkeyPatch) -> tuple[Robot, list[str]]:
     return robot, found
 
 
-@pytest.mark.parametrize(
-    "find",
-    [
-        lambda robot: robot.conductor.check_outside(),
-        lambda robot: robot.put(LEG_1, START),
-        lambda robot: robot.put(LEG_1, leg("stop")),
-    ],
-)
-async def test_what_finds_it_publishes_it_and_stops_all_legs(
-    monkeypatch: pytest.MonkeyPatch, find: Callable[[Robot], None]
-) -> None:
+@pytest.mark.parametrize("command", [None, START, leg("stop")], ids=["the check", "a start", "a Stop"])
+async def test_what_finds_it_publishes_it_and_stops_all_legs(monkeypatch: pytest.MonkeyPatch, command: object) -> None:
     robot, _ = await meddled(monkeypatch)
-    find(robot)
+    robot.conductor.check_outside() if command is None else robot.put(LEG_1, command)
     assert [state.mode for state in robot.states] == [Mode.BUS_FAULT], "at once"
     await asyncio.sleep(0.001)
     assert [frame for _, frame in robot.frames][-6:] == ALL_STOPS
