@@ -13,6 +13,7 @@ from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.model.frames import Framing, decode
 from gateway.people.recorder import ring_reader as rec
 from gateway.robot.blackbox import ring as rings
+from gateway.robot.core.events import Announce
 from gateway.robot.settings import Settings
 from schemas import keys
 from schemas.telemetry import Cause, Kind
@@ -169,6 +170,9 @@ async def test_a_command_that_broke_the_gateway_is_there(folder: Path, monkeypat
     assert contents(folder, rec.CommandRecord)[-1].source == "anna"
     mistake = rec.EventPublished(MISTAKE, None, None, None, "a mistake in the gateway ended it", 0)
     assert contents(folder, rec.EventPublished)[-1] == mistake
+    lefts = [Announce(kind, "", legs=legs) for kind in (Kind.BUTTON_SILENT, Kind.BUTTON_LEFT) for legs in ((), (1,))]
+    incidents = [robot.conductor.recorder.event(each, None, 0) is not None for each in lefts]
+    assert incidents == [False, True] * 2, "a button's end is one if legs stop"
 
 
 @pytest.mark.parametrize("why", ["Not a directory", "No space left on device"])
