@@ -371,10 +371,11 @@ class Conductor:
         elif not self._in_fault and self.supervisor.mode is not Mode.STOPPING:
             self.bus_failed(SpiError(found))
 
-    def _reopen(self) -> None:  # mutants accepted (Forget): a line in the log
+    def _reopen(self) -> None:
         try:
             self.bus.open()
         except SpiError as error:
+            # mutants accepted (Forget): a line in the log
             logger.debug("the SPI device does not answer yet: %s", error)
             self._reopen_timer.set_in(REOPEN_S)
             return

@@ -96,6 +96,9 @@ async def test_in_a_bus_fault_an_emergency_stop_and_the_end_open_the_device_at_o
         assert robot.conductor.shut_down()
     else:
         assert robot.ask(keys.ESTOP).stop_frames == 6
+    opened = len(robot.openings_ns)
+    await asyncio.sleep(0.1)
+    assert len(robot.openings_ns) == opened, "and not once more"
 
 
 async def test_a_deadline_that_passes_in_a_tick_is_of_its_instant(monkeypatch: pytest.MonkeyPatch) -> None:

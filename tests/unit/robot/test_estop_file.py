@@ -238,9 +238,6 @@ async def test_beside_another_gateway_it_counts_as_engaged_and_removes_nothing(
     assert robot.mode == Mode.ESTOPPED
     assert number >= UNHEARD_OF
     assert "another gateway" in str(robot.conductor.reports.estop_fault)
-    keeper.announce_start()
-    (event,) = robot.events(Kind.ESTOP_KEPT)
-    assert str(event.detail).startswith(f"emergency stop {number} is engaged, since it is not known what an earlier ")
     os.close(other_gateway)  # it ends without a reset
     robot.put(keys.RESET, {"estop": number})
     await until(lambda: bool(robot.events(Kind.ESTOP_NOT_KEPT)))
