@@ -15,6 +15,7 @@ from contextlib import AbstractContextManager
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
+from threading import Lock
 from typing import Any, Final
 
 from gateway import __version__, durable
@@ -39,6 +40,8 @@ MOST_WAITING: Final = 4096
 """Records that wait for the ring: a disk that hangs must not fill the memory."""
 CLOSE_S: Final = 1.0  # mutants accepted (Step): a bound of something quicker
 """Longest wait for a copy; one of the largest ring takes about 10 ms."""
+OPENING_S: Final = 0.2  # mutants accepted (Step): likewise
+"""Longest wait of the end for the ring's opening, which takes milliseconds: a service ends within a second."""
 
 
 def copy(ring: Path, newest: int) -> None:
@@ -138,6 +141,7 @@ class Recorder:
         self._shares = RecordShares(rings.client_records_a_second(settings))
         self._waiting: list[tuple[int, int, bytes]] = []
         """Records before the ring is open, for which the first Stops do not wait."""
+        self._opening = Lock()
         self._clock_ns = 0  # of the latest record of the wall clock  # mutants accepted (Step): long ago
         self._about_ns = clock()
         self._calibration = b""
@@ -160,6 +164,10 @@ class Recorder:
 
         `owner` is the state's lock.
         """
+        with self._opening:
+            self._open(owner)
+
+    def _open(self, owner: AbstractContextManager[None]) -> None:
         folder = self._folder
         if folder is None:
             return
@@ -181,7 +189,8 @@ class Recorder:
             self._ring = ring
 
     def close(self) -> None:
-        """Close the ring; later records are discarded."""
+        """Close the ring; later records are discarded. Waits OPENING_S at most for one that is being opened."""
+        self._opening.acquire(timeout=OPENING_S)
         self._folder = None
         if self._ring is not None:
             self._copy(self._ring, self._copied_ns + form.FOLLOW_NS)

@@ -2,8 +2,10 @@
 
 import asyncio
 import os
+import time
 from contextlib import nullcontext
 from pathlib import Path
+from threading import Event, Thread
 from typing import Any
 
 import pytest
@@ -71,6 +73,25 @@ def in_force(records: rec.Records, ns: int) -> int | None:
     """The revision of what was in force."""
     found = records.calibration_at(ns)
     return None if found is None else found.revision
+
+
+async def test_a_run_that_ends_before_its_black_box_is_open_has_its_end_in_it(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Such as one whose port is taken, which fails within milliseconds."""
+    recorder, begun, prepare = Robot({"state": {"path": str(folder)}}).conductor.recorder, Event(), rings.prepare
+
+    def late(path: Path) -> Path:
+        begun.set()
+        time.sleep(0.05)
+        return prepare(path)
+
+    monkeypatch.setattr(rings, "prepare", late)
+    Thread(target=recorder.open, args=(nullcontext(),), daemon=True).start()
+    begun.wait(15)
+    recorder.ended("the port is taken")
+    recorder.close()
+    assert contents(folder)[-1] == rec.Noted("end", "the port is taken")
 
 
 async def test_what_waits_or_is_rejected_has_its_decision_too(folder: Path) -> None:
