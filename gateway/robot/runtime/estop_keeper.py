@@ -196,22 +196,27 @@ class EstopKeeper:
                 write(folder.path, KeptEstop(number, True))
 
     def _write(self, folder: StateFolder, wanted: KeptEstop) -> float:
-        """Write, and report how that ended. Return the pause before the next attempt in seconds."""
+        """Write, and have its end reported. Return the pause before the next attempt in seconds."""
         fault = None
         try:
             folder.own()
             write(folder.path, wanted)
+            self._written = wanted
         except ConfigError as error:
             fault = str(error)
+        with suppress(RuntimeError):  # the loop is closed: the service has ended
+            self._loop.call_soon_threadsafe(self._attempted, wanted, fault)
+        return PAUSE_S if fault is None else RETRY_S
+
+    def _attempted(self, wanted: KeptEstop, fault: str | None) -> None:
+        """Take the end of a write, on the loop: the thread never waits for the state, which a transfer may hold."""
         with self._conductor.owner:
-            self._written = wanted if fault is None else self._written
             if fault is not None or wanted == self._wanted:
                 self._slow.cancel()
                 self._idle.set()
             else:
                 self._slow.set_in(SLOW_S)
             self._report(fault)
-        return PAUSE_S if fault is None else RETRY_S
 
     def _report(self, fault: str | None) -> None:
         """Publish why the emergency stop, or its end, is not kept. None: it is kept."""

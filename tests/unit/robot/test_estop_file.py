@@ -295,9 +295,18 @@ async def test_neither_a_reset_nor_the_end_waits_for_its_turn(
 
 
 @pytest.mark.parametrize("begun", [False, True], ids=["before its step", "in its step"])
-async def test_one_that_a_transfer_that_hangs_holds_up_is_kept(kept: Kept, tmp_path: Path, begun: bool) -> None:
+@pytest.mark.parametrize("reset", [False, True], ids=["", "while a reset is written"])
+async def test_one_that_a_transfer_that_hangs_holds_up_is_kept(
+    kept: Kept, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, begun: bool, reset: bool
+) -> None:
     """systemd kills the gateway then, and the next run has to start engaged. So does a mistake in its step end it."""
     robot, keeper = kept
+    writes = threading.Event()
+    if reset:
+        robot.put(keys.ESTOP)
+        await until(keeper._idle.is_set)
+        monkeypatch.setattr(durable, "sync", lambda _: writes.wait(15))
+        robot.put(keys.RESET, {"estop": 1})
     with robot.conductor.owner:
         if begun:
             robot.conductor.supervisor.step(EmergencyStop(), robot.now_ns())
@@ -305,8 +314,9 @@ async def test_one_that_a_transfer_that_hangs_holds_up_is_kept(kept: Kept, tmp_p
             robot.put_later(keys.ESTOP)
             assert list(robot.take()) == []
         keeper.received()
+        writes.set()
         ends_s = time.monotonic() + 15
-        while number_kept(tmp_path) != 1:
+        while number_kept(tmp_path) != 1 + reset:
             assert time.monotonic() < ends_s
             time.sleep(0.001)  # noqa: ASYNC251  (the loop waits for the state, too)
 
