@@ -360,7 +360,9 @@ class _Service:
             conductor.check_outside()
             at_rest = conductor.supervisor.legs.at_rest
         self.servos.write(now_ns, any_runs=not at_rest)
-        if not self.inbox.makes_progress():
+        with self.owner:
+            progresses = self.inbox.makes_progress()
+        if not progresses:
             self.end.because("a thread that takes commands has ended or is stuck")
         elif conductor.supply is not None and not conductor.supply.makes_progress():
             self.end.because("the thread that receives from the power board is stuck")

@@ -174,8 +174,8 @@ class Inbox:
             self._closing.set_in(FLOOD_PAUSE_S)  # to close the instant, if no further message does
 
     def makes_progress(self) -> bool:
-        """Return whether all threads run, and the receiver threads make progress. Call it once a beat."""
-        self._closing.set_in(0)  # all rings are read: a message may have come before its wakeup, or long after it
+        """Return whether all threads run, and the receiver threads make progress. Call it once a beat, as owner."""
+        self._wake()  # all rings are read: a message may have come before its wakeup, or long after it
         progress = [receiver.makes_progress() for receiver in self._receivers]  # each counts its beats
         return all(progress) and all(worker.thread.is_alive() for worker in self._workers)
 
