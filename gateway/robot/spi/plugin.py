@@ -38,15 +38,16 @@ def plugin_bus(wire: WireSettings, *, exclusive: bool = True, spare: Spare = NO_
         plugin = wire.plugin
     except ValueError as error:
         raise ConfigError(f"wire: {error}") from error
-    return Bus(_FRAMES, lambda: spare.open(lambda: PluginDevice(wire.name, plugin, exclusive=exclusive)))
+    return Bus(_FRAMES, lambda: spare.open(lambda: PluginDevice(wire.name, plugin, spare, exclusive=exclusive)))
 
 
 class PluginDevice(SpiDevice):
-    def __init__(self, name: str, wire: ServoWire, *, exclusive: bool) -> None:
+    def __init__(self, name: str, wire: ServoWire, spare: Spare = NO_SPARE, *, exclusive: bool) -> None:
         """Open the plug-in. Raises SpiError if it raises OSError or another gateway has it, else RuntimeError: a bug of
         the plug-in."""
         self._name = name
         self._wire = wire
+        self._spare = NO_SPARE  # while it is being opened, what was released is for it
         self._lock: int | None = None
         self._listener: Listener | None = None
         if exclusive and runtime_directory() is not None:
@@ -59,6 +60,7 @@ class PluginDevice(SpiDevice):
                     wire.apply(_STOP_ALL)
             self.close()
             raise self._fault(error) from error
+        self._spare = spare
 
     def _listen(self) -> None:
         path = lock_path(self._name)
@@ -113,6 +115,7 @@ class PluginDevice(SpiDevice):
         if self._lock is not None:
             os.close(self._lock)
             self._lock = self._listener = None
+        self._spare.fill()
 
 
 def lock_path(name: str) -> Path:

@@ -75,10 +75,8 @@ def in_force(records: rec.Records, ns: int) -> int | None:
     return None if found is None else found.revision
 
 
-async def test_a_run_that_ends_before_its_black_box_is_open_has_its_end_in_it(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Such as one whose port is taken, which fails within milliseconds."""
+async def test_a_run_that_fails_at_once_has_its_end(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Such as one whose port is taken: it fails before its black box is open."""
     recorder, begun, prepare = Robot({"state": {"path": str(folder)}}).conductor.recorder, Event(), rings.prepare
 
     def late(path: Path) -> Path:

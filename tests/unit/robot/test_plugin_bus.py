@@ -11,6 +11,7 @@ from typing import ClassVar
 import pytest
 
 from gateway.errors import ConfigError, SpiError
+from gateway.host.descriptors import SPARES, Spare
 from gateway.host.settings_table import WireSettings
 from gateway.model.frames import stop_leg
 from gateway.robot.settings import Settings
@@ -73,6 +74,15 @@ def test_one_that_is_unplugged_is_a_fault_until_it_is_opened_again(monkeypatch: 
     bus.open()
     assert bus.write([stop_leg(2)]).fault is None
     assert Exits.stopped == {21, 22, 23}
+
+
+def test_its_descriptors_are_kept_for_it_while_it_is_closed() -> None:
+    """Else clients would take them, a few with each fault, until it could not be opened."""
+    bus = plugin_bus(WireSettings("exits", {}), spare=(spare := Spare()))
+    bus.open()
+    assert spare.give_up()
+    bus.close()
+    assert len(spare._kept) == SPARES
 
 
 def test_one_that_exits_where_it_is_made_is_a_sentence() -> None:
