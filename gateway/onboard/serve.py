@@ -18,7 +18,7 @@ from gateway.people.physics.assumed import Assumed
 from gateway.people.terminal import hint, say
 from gateway.robot import service
 from gateway.robot import settings as settings_file
-from gateway.robot.host.systemd import NOTIFY_SOCKET
+from gateway.robot.host.systemd import NOTIFY_SOCKET, WATCHDOG
 from gateway.robot.settings import Settings
 from gateway.robot.spi.stop_all import stop_before_service
 from gateway.robot.wires import SimulatedParts
@@ -63,21 +63,23 @@ def serve(config: Path | None, *, simulated: bool, body: tuple[Path | None, Assu
         try:
             service.run(settings, parts, ready)
         except (SpiError, ZenohError) as error:
-            if not is_ready and not simulated and NOTIFY_SOCKET in os.environ:  # `make run` has such a socket, too
-                _pause(error, settings)
+            by_systemd = (WATCHDOG if simulated else NOTIFY_SOCKET) in os.environ  # `make run` has a socket, too
+            if by_systemd and not is_ready:
+                _pause(error, None if simulated else settings)
             raise
 
 
-def _pause(error: GatewayError, settings: Settings) -> NoReturn:
+def _pause(error: GatewayError, settings: Settings | None) -> NoReturn:
     """Under systemd, wait before the end of a failed start that may succeed later. SIGTERM ends the pause.
 
     With the pause, such starts never reach the unit's start limit, which is for crashes. Meanwhile write Stops:
-    servos may still run since a bus fault of the run before, and the device may return.
+    servos may still run since a bus fault of the run before, and the device may return. Without `settings`: no Stops.
     """
     hint(f"hexapod-gateway: {error}")
     end_s = time.monotonic() + PAUSE_S
     while time.monotonic() < end_s:
-        stop_before_service(settings.wire, settings.spi, settings.controller)
+        if settings is not None:
+            stop_before_service(settings.wire, settings.spi, settings.controller)
         time.sleep(STOP_AGAIN_S)
     sys.exit(error.exit_code)
 

@@ -8,7 +8,8 @@ from contextlib import suppress
 from typing import Final
 
 NOTIFY_SOCKET: Final = "NOTIFY_SOCKET"
-VARIABLES: Final = (NOTIFY_SOCKET, "WATCHDOG_USEC", "WATCHDOG_PID")
+WATCHDOG: Final = "WATCHDOG_USEC"
+VARIABLES: Final = (NOTIFY_SOCKET, WATCHDOG, "WATCHDOG_PID")
 """What a child must not inherit, or it could notify in this process's name."""
 PINGS_PER_TIMEOUT = 4
 """More than one, so that a late or lost ping does not kill a working service."""
@@ -36,7 +37,7 @@ class SystemdNotifier:
             self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
             self._socket.setblocking(False)  # the loop must not wait for systemd to read
         watched = path and environment.get("WATCHDOG_PID") in (None, str(os.getpid()))
-        self._timeout_us = int(environment.get("WATCHDOG_USEC", 0)) if watched else 0
+        self._timeout_us = int(environment.get(WATCHDOG, 0)) if watched else 0
         """systemd's watchdog period; 0: there is no watchdog."""
         self.ping_period_s: Final = self._timeout_us / 1e6 / PINGS_PER_TIMEOUT if self._timeout_us else None
         """How often to call `alive`: a quarter of systemd's watchdog period. None: there is no watchdog."""

@@ -30,15 +30,16 @@ def test_pauses_keep_starts_under_the_units_limit_and_crashes_reach_it() -> None
     assert setting("TimeoutStartSec") > PAUSE_S
 
 
-def test_in_a_pause_the_robot_gets_stops(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("simulated", [False, True])
+def test_in_a_pause_a_real_robot_gets_stops(monkeypatch: pytest.MonkeyPatch, simulated: bool) -> None:
     """Its device may return, and its servos may run since a bus fault before the start."""
     stopped, pauses_s, used = list[Any](), list[float](), settings.Settings()
-    monkeypatch.setenv("NOTIFY_SOCKET", "@systemd")
+    monkeypatch.setattr("os.environ", {"NOTIFY_SOCKET": "@systemd", "WATCHDOG_USEC": "1000000"})
     monkeypatch.setattr(settings, "load", lambda *_, **__: used)
     monkeypatch.setattr(service, "run", lambda *_: (_ for _ in ()).throw(SpiError("told to fail")))
     monkeypatch.setattr(serve, "stop_before_service", lambda *of: stopped.append(of))
     monkeypatch.setattr(serve, "time", SimpleNamespace(monotonic=lambda: sum(pauses_s), sleep=pauses_s.append))
     with pytest.raises(SystemExit) as ended:
-        serve.serve(None, simulated=False)
+        serve.serve(None, simulated=simulated)
     assert (ended.value.code, round(sum(pauses_s))) == (SpiError.exit_code, PAUSE_S)
-    assert stopped == [(used.wire, used.spi, used.controller)] * len(pauses_s)
+    assert stopped == ([] if simulated else [(used.wire, used.spi, used.controller)] * len(pauses_s))
