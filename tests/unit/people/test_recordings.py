@@ -1,7 +1,10 @@
-"""Recordings: what is in the file, also of a recorder that was killed, and what viewers draw."""
+"""Recordings: what is in the file, what viewers draw, and what docs/recordings.md says of both."""
 
 import csv
 import json
+import re
+import runpy
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from queue import Empty
@@ -14,7 +17,7 @@ from mcap.reader import make_reader
 from gateway.geometry import load
 from gateway.model.frames import stop_leg
 from gateway.people.client.subscriptions import States
-from gateway.people.recorder.drawing import DRAWN
+from gateway.people.recorder.drawing import DRAWN, FRAMES
 from gateway.people.recorder.record import MOST_WAITING, REPORTS, Recording, ReportQueue
 from gateway.people.ros2.messages import Message
 from schemas import keys
@@ -29,6 +32,8 @@ from tests.support.ros2_messages import decode
 pytestmark = pytest.mark.full
 
 WIRE: Final = Path(__file__).parents[2] / "data" / "wire"
+DOCS: Final = Path(__file__).parents[3] / "docs"
+PAGE: Final = (DOCS / "recordings.md").read_text()
 START_NS: Final = 1_700_000_000_000_000_000
 PERIOD_NS: Final = 3_333_333
 NAMES: Final = {
@@ -179,3 +184,51 @@ def test_a_queue_that_nobody_reads_does_not_grow() -> None:
     for _ in range(MOST_WAITING + 3):
         queue.put(keys.EVENT, b"{}")
     assert queue.dropped == 3
+
+
+# ---- the page
+
+
+def test_the_pages_program_reads_a_recording(
+    path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recorded(path)
+    (program,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+    assert len(program.splitlines()) <= 22
+    path.with_name("read.py").write_text(program)
+    monkeypatch.setattr(sys, "argv", ["read.py", str(path)])
+    runpy.run_path(str(path.with_name("read.py")))
+    printed = capsys.readouterr().out
+    assert "'watchdog': " in printed
+    assert "11: 90.0" in printed
+
+
+def test_the_viewers_layout_names_only_what_a_recording_has(path: Path) -> None:
+    samples: dict[str, Any] = dict(checked(recorded(path)))
+    layout = json.loads((DOCS / "viewers" / "lichtblick.json").read_text())
+    panels: dict[str, dict[str, Any]] = layout["configById"]
+    assert sorted(_panels(layout["layout"])) == sorted(panels)
+    named = 0
+    for panel in panels.values():
+        topics = [*panel.get("topics", ()), *([panel["topicToRender"]] if "topicToRender" in panel else ())]
+        assert set(topics) <= samples.keys()
+        for series in panel.get("paths", ()):
+            topic, *fields = re.split(r"\.|(?=\[)", series["value"])
+            value = samples[topic]
+            for field in fields:
+                value = value[int(field[1:-1])] if field.startswith("[") else getattr(value, field)
+            number = int(series["label"].removeprefix("joint_"))
+            assert samples[topic].name[int(fields[-1][1:-1])] == f"joint_{number}", series
+        named += len(topics) + len(panel.get("paths", ()))
+    assert named == 10
+    assert panels["3D!robot"]["followTf"] in {each.child_frame_id for each in samples[FRAMES].transforms}
+
+
+def _panels(node: Any) -> list[str]:
+    return [node] if isinstance(node, str) else [*_panels(node["first"]), *_panels(node["second"])]
+
+
+def test_the_pages_table_has_every_channel() -> None:
+    table = PAGE.partition("## What a file contains")[2].partition("An exported incident")[0]
+    named = re.findall(r"`(/?[a-z_/]+)`", "".join(re.findall(r"^\| (`.*?) \|", table, re.MULTILINE)))
+    assert sorted(named) == sorted([*REPORTS, *DRAWN])
