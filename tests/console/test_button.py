@@ -89,33 +89,24 @@ def test_where_nothing_is_heard_it_says_so_and_shakes_and_a_tap_waits_for_the_co
     expect(page["word"]).to_have_text("STOPPED")
 
 
-@pytest.mark.parametrize("role", ["button", "observer"])
-def test_a_page_of_a_button_stops_and_drives_nothing_and_one_that_looks_does_neither(
-    browser: Browser, gateway: Gateway, tmp_path: Path, role: str
+def test_a_page_of_a_button_stops_and_drives_nothing(
+    browser: Browser, gateway: Gateway, watcher: Client, tmp_path: Path
 ) -> None:
     with (
-        Console(tmp_path, "--connect", gateway.endpoint, "--role", role) as console,
+        Console(tmp_path, "--connect", gateway.endpoint, "--role", "button") as console,
         Visitor(browser, console.url, console.sign_in()) as visitor,
-        gateway.client() as robot,
     ):
-        if role == "observer":
-            page = visitor.open()
-            page.go_to_button()
-            expect(page["word"]).to_have_text("NO BUTTON")
-            page["button"].click()
-            expect(page["word"]).to_have_text("NO BUTTON")
-            return
-        page = watching(visitor, robot)
+        page = watching(visitor, watcher)
         page["button"].click()
         expect(page["word"]).to_have_text("STOPPED")
         page["leave"].click()
         expect(page["only-looks"]).to_be_visible()
         expect(page["lease-acquire"]).to_be_hidden()
         expect(page["reset"]).to_be_hidden()
-        assert robot.reset().accepted
+        assert watcher.reset().accepted
         page["stop-all"].click()
         expect(page["stop-known"]).to_contain_text("6 Stops written within")
-        assert robot.reset().accepted
+        assert watcher.reset().accepted
 
 
 def test_a_page_that_is_hidden_is_silent_and_checks_in_again_when_it_is_seen(visitor: Visitor, watcher: Client) -> None:

@@ -95,6 +95,11 @@ def test_an_observer_is_sent_to_the_switch_and_whose_session_was_ended_is_told_h
         page.expect_live()
         with gateway.client() as robot:
             assert robot.state().mode == "idle"
+        other = visitor.open()
+        other.go_to_button()
+        expect(other["word"]).to_have_text("NO BUTTON")
+        other["button"].click()
+        expect(other["word"]).to_have_text("NO BUTTON")
         assert console.run("--sign-out").returncode == 0
         expect(page["stop-known"]).to_contain_text("NOT CONNECTED: use the switch")
         expect(page["stop-known"]).to_contain_text("You are not signed in")

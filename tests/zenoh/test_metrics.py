@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
-from prometheus_client.samples import Sample
 
 from gateway import __version__, certs
 from gateway.model.frames import PROTOCOL_VERSION
@@ -18,13 +17,8 @@ from tests.support.metrics_page import described, documented
 from tests.support.secured import Secured
 
 
-def read(address: str) -> list[Sample]:
-    with urllib.request.urlopen(f"http://{address}/metrics", timeout=10) as answer:
-        text = answer.read().decode()
-    return [sample for family in text_string_to_metric_families(text) for sample in family.samples]
-
-
-def value(samples: list[Sample], name: str, **labels: str) -> float:
+def value(page: str, name: str, **labels: str) -> float:
+    samples = [sample for family in text_string_to_metric_families(page) for sample in family.samples]
     (found,) = [sample.value for sample in samples if sample.name == name and labels.items() <= sample.labels.items()]
     return float(found)
 
@@ -38,11 +32,10 @@ def test_the_list_in_the_docs_is_the_page_and_no_web_page_reads_it_by_a_name_of_
         assert client.estop().accepted
         with urllib.request.urlopen(f"http://{here}/metrics", timeout=10) as answer:
             page = answer.read().decode()
-        samples = read(here)
-        assert value(samples, "hexapod_sessions") == 1
-        assert value(samples, "hexapod_incidents_total") == 1
-        assert value(samples, "hexapod_build_info", version=__version__, protocol=PROTOCOL_VERSION) == 1
-        expires = value(samples, "hexapod_certificate_expiry_timestamp_seconds", file="gateway.pem")
+        assert value(page, "hexapod_sessions") == 1
+        assert value(page, "hexapod_incidents_total") == 1
+        assert value(page, "hexapod_build_info", version=__version__, protocol=PROTOCOL_VERSION) == 1
+        expires = value(page, "hexapod_certificate_expiry_timestamp_seconds", file="gateway.pem")
         assert expires == pytest.approx(time.time() + certs.LEAF_DAYS * 86400, abs=100)
         for path in ("/", "/metric", "/metrics/more", "/favicon.ico"):
             with pytest.raises(urllib.error.HTTPError, match="404"):
