@@ -29,8 +29,6 @@ from tests.support.measuring import MEASURED
 from tests.support.published import event, state
 from tests.support.ros2_messages import decode
 
-pytestmark = pytest.mark.full
-
 WIRE: Final = Path(__file__).parents[2] / "data" / "wire"
 DOCS: Final = Path(__file__).parents[3] / "docs"
 PAGE: Final = (DOCS / "recordings.md").read_text()
