@@ -135,7 +135,7 @@ def test_the_table_lifts_no_more_than_the_gaits_name_says(of: str, most: int) ->
     assert min(swings) <= most - 1 or of == "ripple"
 
 
-# ---- standing up and sitting down from any pose, and a leg that somebody else stops
+# ---- standing up from any pose (a leg that somebody else stops: test_ride.py)
 
 ROBOT: Final = Robot(load())
 WAY_S: Final = 12.0
@@ -175,32 +175,3 @@ def test_from_any_pose_of_the_legs_that_run_it_stands_up_three_legs_at_a_time(
     assert engine.state.body.height_m == pytest.approx(ROBOT.usual_m)
     walked.checks_balance = True
     walked.run(1.0, Velocity(0.1))
-
-
-def test_a_lost_leg_in_any_phase_leaves_the_others_standing_still() -> None:
-    """And the walk goes on once it runs again."""
-    walked = standing(ROBOT)
-    walked.checks_balance = False  # which feet then carry is not ours to choose
-    walked.run(2.0, Velocity(0.1))
-    for _ in range(6):
-        for lost in ((3,), (1, 4)):
-            halted = walked.copy()
-            engine = halted.engine
-            frozen = {leg: engine.pose[leg] for leg in lost}
-            engine.halt(lost)
-            halted.run(1.5, Velocity(0.1))
-            assert engine.posture is Posture.HALTED
-            assert engine.pose.keys() == set(LEGS) - set(lost)
-            assert all(engine.state.feet[leg][2] == pytest.approx(0, abs=1e-9) for leg in engine.pose)
-            still = engine.pose
-            halted.run(1.0, Velocity(0.1))
-            assert engine.pose == still
-            engine.resume()
-            assert {leg: engine.pose[leg] for leg in lost} == frozen
-            halted.pose = engine.pose
-            halted.until(Posture.STANDING, 1.0)
-            halted.checks_balance = True
-            x_m = engine.state.odometry.x_m
-            halted.run(1.5, Velocity(0.1))
-            assert engine.state.odometry.x_m > x_m + 0.1
-        walked.run(0.38, Velocity(0.1))
