@@ -27,7 +27,7 @@ def legs_that_carry(engine: Engine) -> frozenset[int]:
     state = engine.state
     move = state.moves[0] if state.moves else None
     away = set(state.swings) | (set() if move is None or isinstance(move, Shift) else set(move.paths))
-    low_m = ON_GROUND_M if state.sits or engine.lost else math.inf
+    low_m = ON_GROUND_M if state.sits else math.inf
     return frozenset(leg for leg in LEGS if leg not in away and state.feet[leg][2] < low_m)
 
 
@@ -118,8 +118,6 @@ class Walked:
         engine = self.engine
         assert len(legs_that_carry(engine)) >= 3
         joints = {leg: self.robot.joints_rad(leg, angles) for leg, angles in engine.pose.items()}
-        if engine.lost:
-            return
         x, y, _ = centre_of_mass(self.robot, engine.state.body, joints)
         margin = margin_m((x, y), [engine.state.feet[leg][:2] for leg in legs_that_carry(engine)])
         self.margin_m = min(self.margin_m, margin)

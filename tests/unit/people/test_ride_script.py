@@ -66,37 +66,33 @@ def test_it_stands_up_walks_for_so_long_and_sits(capsys: pytest.CaptureFixture[s
     assert said.endswith("m to the left, turned by 0°; it sits, and its servos are stopped\n")
 
 
-@pytest.mark.parametrize("when", [Posture.MOVING, Posture.WALKING])
-def test_ended_early_it_finishes_its_step_and_sits(when: Posture, capsys: pytest.CaptureFixture[str]) -> None:
+class Closed(io.StringIO):
+    """A terminal that is closed, which asks for the end: what is remarked then cannot be written."""
+
+    def write(self, _: str) -> NoReturn:
+        raise OSError(errno.EIO, "Input/output error")
+
+
+@pytest.mark.parametrize(
+    ("when", "terminal"),
+    [(Posture.MOVING, io.StringIO()), (Posture.WALKING, io.StringIO()), (Posture.WALKING, Closed())],
+    ids=["while it stands up", "while it walks", "by a terminal that is closed"],
+)
+def test_ended_early_it_finishes_its_step_and_sits(
+    when: Posture, terminal: io.StringIO, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     end = EndRequests()
 
     def asks(robot: Walked) -> None:
-        if robot.state.posture is when and robot.ridden.now_s > 101:
-            end.asked = True
+        if robot.state.posture is when and robot.ridden.now_s > 101 and not end.asked:
+            end.ask()
 
     robot = Walked(asks)
+    monkeypatch.setattr(sys, "stderr", terminal)
     assert not go(cast(Walk, robot), AHEAD, 600.0, None, end, robot.clock)
     assert robot.walked_s < 0.2
     assert robot.state.posture is Posture.SITTING
     assert capsys.readouterr().out.startswith("ended early: walked ")
-
-
-def test_it_sits_down_also_where_its_terminal_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The end of the terminal asks for the end, and what is remarked then cannot be written."""
-    end = EndRequests()
-
-    class Closed(io.StringIO):
-        def write(self, _: str) -> NoReturn:
-            raise OSError(errno.EIO, "Input/output error")
-
-    def closes(robot: Walked) -> None:
-        if robot.state.posture is Posture.WALKING and not end.asked:
-            end.ask()
-
-    robot = Walked(closes)
-    monkeypatch.setattr(sys, "stderr", Closed())
-    assert not go(cast(Walk, robot), AHEAD, 600.0, None, end, robot.clock)
-    assert robot.state.posture is Posture.SITTING
 
 
 def test_asked_twice_it_is_cut_but_not_while_its_stops_are_sent() -> None:
