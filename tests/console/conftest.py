@@ -9,7 +9,7 @@ from playwright.sync_api import Browser, Playwright, sync_playwright
 
 from tests.console.browser import ARGUMENTS, CHROMIUM, HELD_UP, Visitor
 from tests.support.console_process import Console, SignedIn
-from tests.support.fixtures import console_fixture, gateway_fixture, patient, session_fixture
+from tests.support.fixtures import client_fixture, console_fixture, gateway_fixture, patient, session_fixture
 from tests.support.gateway_process import Gateway
 
 TRIES: Final = 3
@@ -55,6 +55,7 @@ def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool:
 gateway = gateway_fixture(patient(lease={"ttl_ms": 3000}), scope="package")
 console = console_fixture("package")
 session = session_fixture("package")
+watcher = client_fixture("watcher")
 
 
 @pytest.fixture

@@ -11,7 +11,6 @@ from schemas.telemetry import GatewayState, Kind, Mode
 from tests.console.browser import COUNTS, Opened, Visitor
 from tests.support.child import frozen
 from tests.support.console_process import Console
-from tests.support.fixtures import client_fixture
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events, states
 
@@ -27,8 +26,6 @@ WebSocket.prototype.send = ((send) => function (text) {
 })(WebSocket.prototype.send);
 """
 """Somebody on the way delays what the page sends."""
-
-watcher = client_fixture("watcher")
 
 
 def alive(watcher: Client, count: int) -> GatewayState:

@@ -41,34 +41,33 @@ def start_32(page: Opened, begin: str = "90") -> None:
 
 
 @pytest.mark.nightly
-def test_a_servo_is_started_alone_jogged_trimmed_turned_round_and_written(visitor: Visitor, gateway: Gateway) -> None:
+def test_a_servo_is_started_alone_jogged_trimmed_turned_round_and_written(visitor: Visitor, watcher: Client) -> None:
     page = visitor.open(viewport=PHONE["viewport"])
-    with gateway.client() as robot:
-        before = robot.calibration().revision
-        start_32(page)
-        for _ in range(3):
-            page["cal-up"].click()
-        expect(page["cal-now"]).to_have_text("Servo 32 runs at 93°")
-        expect(page["leg-row-3"]).to_contain_text("93.0°")
-        assert running(robot) == {32: 93}
-        page["cal-measured"].fill("90")
-        page["cal-measured"].press("Enter")
-        expect(page["cal-now"]).to_have_text("Servo 32 runs at 90°, 93° by the calibration in force")
-        page["cal-highest_here"].click()
-        page["cal-wrong_way"].click()
-        expect(page["cal-rows"]).to_contain_text("* +3° inverted 90–180°")
-        page["cal-undo"].click()
-        expect(page["cal-rows"]).to_contain_text("* +3° 0–90°")
-        expect(page["cal-write"]).to_be_disabled()
+    before = watcher.calibration().revision
+    start_32(page)
+    for _ in range(3):
+        page["cal-up"].click()
+    expect(page["cal-now"]).to_have_text("Servo 32 runs at 93°")
+    expect(page["leg-row-3"]).to_contain_text("93.0°")
+    assert running(watcher) == {32: 93}
+    page["cal-measured"].fill("90")
+    page["cal-measured"].press("Enter")
+    expect(page["cal-now"]).to_have_text("Servo 32 runs at 90°, 93° by the calibration in force")
+    page["cal-highest_here"].click()
+    page["cal-wrong_way"].click()
+    expect(page["cal-rows"]).to_contain_text("* +3° inverted 90–180°")
+    page["cal-undo"].click()
+    expect(page["cal-rows"]).to_contain_text("* +3° 0–90°")
+    expect(page["cal-write"]).to_be_disabled()
 
-        page["cal-stop"].click()
-        page.expect_status(3, "rests")
-        page["cal-write"].click()
-        assert robot.calibration().revision == before, "nothing is written before it is confirmed"
-        page["question-yes"].click()
-        expect(page.said).to_contain_text(f"written: revision {before + 1}")
-        written = robot.calibration().servos["32"]
-        assert (written.trim_deg, written.inverted, written.min_deg, written.max_deg) == (3, False, 0, 90)
+    page["cal-stop"].click()
+    page.expect_status(3, "rests")
+    page["cal-write"].click()
+    assert watcher.calibration().revision == before, "nothing is written before it is confirmed"
+    page["question-yes"].click()
+    expect(page.said).to_contain_text(f"written: revision {before + 1}")
+    written = watcher.calibration().servos["32"]
+    assert (written.trim_deg, written.inverted, written.min_deg, written.max_deg) == (3, False, 0, 90)
 
 
 def fold(page: Opened) -> None:
@@ -80,15 +79,12 @@ def stop_all(page: Opened) -> None:
 
 
 @pytest.mark.parametrize("leave", [Opened.hide, Opened.close, fold, stop_all, Opened.lose_focus])
-def test_leaving_in_any_way_stops_the_servo(
-    visitor: Visitor, gateway: Gateway, leave: Callable[[Opened], None]
-) -> None:
+def test_leaving_in_any_way_stops_the_servo(visitor: Visitor, watcher: Client, leave: Callable[[Opened], None]) -> None:
     page = visitor.open()
     start_32(page)
     page.expect_status(3, "runs")
     leave(page)
-    with gateway.client() as robot:
-        states(robot).wait(lambda state: not any(servo.running for servo in state.legs[2].servos))
+    states(watcher).wait(lambda state: not any(servo.running for servo in state.legs[2].servos))
 
 
 def test_a_lease_that_is_taken_and_somebody_elses_stop_end_it(visitor: Visitor, gateway: Gateway) -> None:

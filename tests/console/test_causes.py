@@ -7,6 +7,7 @@ from typing import Final
 import pytest
 from playwright.sync_api import Browser, expect
 
+from gateway.client import Client
 from schemas.robot import LEGS
 from tests.console.browser import PHONE, Opened, Visitor
 from tests.support.console_process import Console
@@ -121,7 +122,7 @@ def test_a_driver_who_loads_the_page_anew_still_is_you_and_another_page_is_not(v
 # ---- who drives, between two pages and a program
 
 
-def test_two_pages_ask_hand_over_and_take(visitor: Visitor, gateway: Gateway) -> None:
+def test_two_pages_ask_hand_over_and_take(visitor: Visitor, watcher: Client) -> None:
     anna, bert = visitor.open(), visitor.open()
     anna.get_lease()
     expect(bert["driver"]).to_contain_text("(page ")
@@ -133,8 +134,7 @@ def test_two_pages_ask_hand_over_and_take(visitor: Visitor, gateway: Gateway) ->
     anna["lease-hand-over"].click()
     expect(bert["driver"]).to_have_text("you")
     expect(bert.said).to_have_text("You drive: the lease was handed over to you. Press to move.")
-    with gateway.client() as robot:
-        assert not servos_on(robot.state())
+    assert not servos_on(watcher.state())
     expect(anna["driver"]).not_to_have_text("you")
 
     anna["lease-take"].click()
@@ -152,22 +152,20 @@ def test_two_pages_ask_hand_over_and_take(visitor: Visitor, gateway: Gateway) ->
     expect(anna["events"]).to_contain_text("you have stopped all legs and taken the lease from ")
     expect(bert.said).to_contain_text(re.compile(r"\(page \d+\) has taken the lease"))
     bert.expect_status(1, "rests")
-    with gateway.client(source="a program") as robot:
-        assert robot.start_leg(1, 90, 90, 90, check=False).reason == "not_holder"
-        bert["stop-all"].click()  # the holder of the lease is another
-        expect(bert["stop-known"]).to_contain_text("6 Stops written within")
-        assert robot.state().mode == "estopped"
+    assert watcher.start_leg(1, 90, 90, 90, check=False).reason == "not_holder"
+    bert["stop-all"].click()  # the holder of the lease is another
+    expect(bert["stop-known"]).to_contain_text("6 Stops written within")
+    assert watcher.state().mode == "estopped"
 
 
-def test_a_page_that_is_hidden_drives_no_more(visitor: Visitor, gateway: Gateway) -> None:
+def test_a_page_that_is_hidden_drives_no_more(visitor: Visitor, watcher: Client) -> None:
     page, other = visitor.open(), visitor.open()
     page["lease-acquire"].click()
     expect(other["driver"]).to_contain_text("(page ")
     page.hide()
     expect(other["driver"]).to_have_text("nobody")
-    with gateway.client() as robot:
-        assert robot.start_leg(1, 90, 90, 90).accepted
-        robot.stop()
+    assert watcher.start_leg(1, 90, 90, 90).accepted
+    watcher.stop()
     page.show()
     expect(page.said).to_have_text(
         re.compile(

@@ -14,7 +14,7 @@ from schemas.telemetry import FrameRecord
 from tests.console.browser import GAMEPAD, Opened, Visitor, again
 from tests.support.console_process import Console
 from tests.support.cut_link import CutLink
-from tests.support.fixtures import client_fixture, gateway_fixture, patient, session_fixture
+from tests.support.fixtures import gateway_fixture, patient, session_fixture
 from tests.support.gateway_process import Gateway
 from tests.support.heard import Heard, frames, is_stop, last_angles
 
@@ -24,7 +24,6 @@ TIMEOUT_MS: Final = 2000.0
 """Eight times the default: on a busy machine the page itself is silent for longer than that, which ends a hold."""
 
 gateway = gateway_fixture(patient(TIMEOUT_MS, telemetry={"frames": True}))
-watcher = client_fixture("watcher")
 session = session_fixture()
 
 

@@ -15,7 +15,6 @@ from gateway.people.walking.robot import Robot
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Battery, Telemetry
 from tests.console.browser import CHANGES, Visitor
-from tests.support.fixtures import client_fixture
 from tests.support.heard import servos_on, states
 from tests.support.measuring import LEANING, measures
 
@@ -28,16 +27,15 @@ window.change = (message) => {{
 }};
 """
 """Each state is that of a robot of which only the whole starts; the gateway behind it takes whole starts as well."""
-robot = client_fixture("watcher")
 
 
 def test_battery_tilt_temperature_and_the_feet_that_carry_are_shown_while_they_are_measured(
-    visitor: Visitor, robot: Client
+    visitor: Visitor, watcher: Client
 ) -> None:
     page = visitor.open()
     expect(page["measured"]).to_be_hidden()
     picture = page.page.locator("#picture > svg")
-    with measures(robot, LEANING):
+    with measures(watcher, LEANING):
         expect(page["battery"]).to_have_text("Battery 7.4 V, 80 %")
         expect(page["tilt-known"]).to_have_text("15°")
         expect(page["temperature"]).to_have_text("32 °C")
@@ -51,18 +49,18 @@ def test_battery_tilt_temperature_and_the_feet_that_carry_are_shown_while_they_a
         assert page.violations() == {}
     expect(page["measured"]).to_be_hidden()
     expect(picture.locator(".carries, .hangs")).to_have_count(0)
-    with measures(robot, Telemetry(time=LEANING.time, age_ms=3.0, battery=Battery(voltage_v=6.4, percent=19.9))):
+    with measures(watcher, Telemetry(time=LEANING.time, age_ms=3.0, battery=Battery(voltage_v=6.4, percent=19.9))):
         expect(page["battery"]).to_have_text("Battery 6.4 V, 20 %, low")
         expect(page["battery"]).to_have_attribute("data-low", "yes")
-        assert robot.start_leg(1, 90, 90, 90).accepted
+        assert watcher.start_leg(1, 90, 90, 90).accepted
         expect(page["battery"]).to_have_text("Battery 6.4 V under load, 20 %, low")
-        robot.stop()
+        watcher.stop()
         expect(page["tilt"]).to_be_hidden()
         expect(page["temperature"]).to_be_hidden()
 
 
 def test_one_hold_starts_all_six_legs_at_once_lying_and_a_stop_of_one_is_one_of_all(
-    visitor: Visitor, robot: Client
+    visitor: Visitor, watcher: Client
 ) -> None:
     page = visitor.open(script=WHOLE)
     page.get_lease()
@@ -73,7 +71,7 @@ def test_one_hold_starts_all_six_legs_at_once_lying_and_a_stop_of_one_is_one_of_
     for name in ("hold-leg", "run-chooser", "run-all"):
         expect(page[name]).to_be_hidden()
     expect(page["stop-leg"]).to_have_text("Stop leg 1, and so all six")
-    seen = states(robot)
+    seen = states(watcher)
     page.page.keyboard.down("h")
     first = seen.wait(lambda state: servos_on(state) == set(SERVO_IDS))
     lying = lying_deg(Robot(geometry.load()))
@@ -81,7 +79,7 @@ def test_one_hold_starts_all_six_legs_at_once_lying_and_a_stop_of_one_is_one_of_
     expect(page.said).to_have_text("Running legs 1, 2, 3, 4, 5 and 6 while you hold.")
     page["stop-leg"].click()
     expect(page.said).to_have_text("Stops sent to all six legs.")
-    states(robot).wait(lambda state: not servos_on(state))
+    states(watcher).wait(lambda state: not servos_on(state))
     page.page.keyboard.up("h")
     page["cal"].locator("summary").click()
     expect(page["cal-whole"]).to_be_visible()

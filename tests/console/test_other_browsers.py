@@ -10,7 +10,6 @@ from gateway.client import Client
 from tests.console.browser import put_to_rest
 from tests.console.other_browsers import Firefox, OtherBrowser, WebKit
 from tests.support.console_process import Console
-from tests.support.fixtures import client_fixture
 from tests.support.gateway_process import Gateway
 from tests.support.heard import servos_on, states
 
@@ -20,8 +19,6 @@ PAD: Final = "Walk:"
 WALKS: Final = "It walks"
 PUSHES: Final = 20
 """A busy machine stands still for so long that a page lets go: then its thumb lands anew."""
-
-robot = client_fixture("watcher")
 
 
 @pytest.fixture(params=[WebKit, Firefox])
@@ -43,22 +40,22 @@ def walk(page: OtherBrowser) -> None:
     raise AssertionError(page.find("document.body.innerText"))
 
 
-def test_enter_drive_stand_walk_and_stop_all(page: OtherBrowser, console: Console, robot: Client) -> None:
+def test_enter_drive_stand_walk_and_stop_all(page: OtherBrowser, console: Console, watcher: Client) -> None:
     page.go_to(console.new_link())
     page.wait("document.hasFocus()")
     page.click("Drive")
     page.click("Stand")
     page.wait_for_words("It stands")
-    assert robot.state().mode == "active"
+    assert watcher.state().mode == "active"
     walk(page)
-    before = robot.state().commands.accepted
-    states(robot).wait(lambda state: state.commands.accepted > before + 20)
+    before = watcher.state().commands.accepted
+    states(watcher).wait(lambda state: state.commands.accepted > before + 20)
     page.let_go()
     page.wait_for_words("It stands")
     walk(page)
     page.let_go()
     page.click("STOP ALL")
     page.wait_for_words("6 Stops written within")
-    state = robot.state()
+    state = watcher.state()
     assert state.mode == "estopped"
     assert not servos_on(state)

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Browser, expect
 
+from gateway.client import Client
 from tests.console.browser import PHONE, Visitor
 from tests.support.console_process import Console
 from tests.support.gateway_process import Gateway
@@ -43,7 +44,7 @@ def test_stop_all_stops_and_says_what_is_known_and_who_else_stopped(visitor: Vis
         expect(page["stop-line"]).to_have_text(re.compile(r"STOPPED by bert, \d\d:\d\d"))
 
 
-def test_a_reset_asks_first_and_stop_all_answers_no(visitor: Visitor, gateway: Gateway) -> None:
+def test_a_reset_asks_first_and_stop_all_answers_no(visitor: Visitor, watcher: Client) -> None:
     page = visitor.open()
     page["stop-all"].click()
     page["reset"].click()
@@ -53,12 +54,11 @@ def test_a_reset_asks_first_and_stop_all_answers_no(visitor: Visitor, gateway: G
     expect(page["stop-known"]).to_contain_text("6 Stops written within")
     page["reset"].click()
     page["question-no"].press("Enter")
-    with gateway.client() as robot:
-        assert robot.state().mode == "estopped"
-        page["reset"].click()
-        page["question-yes"].click()
-        expect(page.said).to_contain_text("Nothing moves until it is started again")
-        assert robot.state().mode == "idle"
+    assert watcher.state().mode == "estopped"
+    page["reset"].click()
+    page["question-yes"].click()
+    expect(page.said).to_contain_text("Nothing moves until it is started again")
+    assert watcher.state().mode == "idle"
 
 
 @pytest.mark.nightly
@@ -79,7 +79,7 @@ def test_axe_finds_nothing(visitor: Visitor, layout: dict[str, Any]) -> None:
 
 
 def test_an_observer_is_sent_to_the_switch_and_whose_session_was_ended_is_told_how_to_go_on(
-    browser: Browser, gateway: Gateway, tmp_path: Path
+    browser: Browser, gateway: Gateway, watcher: Client, tmp_path: Path
 ) -> None:
     with (
         Console(tmp_path, "--connect", gateway.endpoint, "--role", "observer") as console,
@@ -93,8 +93,7 @@ def test_an_observer_is_sent_to_the_switch_and_whose_session_was_ended_is_told_h
         page.page.keyboard.press("Escape")
         page.page.keyboard.press("h")
         page.expect_live()
-        with gateway.client() as robot:
-            assert robot.state().mode == "idle"
+        assert watcher.state().mode == "idle"
         other = visitor.open()
         other.go_to_button()
         expect(other["word"]).to_have_text("NO BUTTON")

@@ -11,7 +11,7 @@ from playwright.sync_api import expect
 from gateway.client import Client
 from tests.console.browser import GAMEPAD, WISHES, Opened, Visitor, walks
 from tests.support.child import frozen
-from tests.support.fixtures import client_fixture, console_fixture, gateway_fixture, patient, session_fixture
+from tests.support.fixtures import console_fixture, gateway_fixture, patient, session_fixture
 from tests.support.heard import states
 
 pytestmark = pytest.mark.browser
@@ -19,7 +19,6 @@ pytestmark = pytest.mark.browser
 gateway = gateway_fixture(patient())
 console = console_fixture()
 session = session_fixture()
-robot = client_fixture("watcher")
 
 
 def push(page: Opened) -> None:
@@ -43,7 +42,7 @@ def press(key: str, page: Opened) -> None:
     page.page.keyboard.down(key)
 
 
-def test_keys_walk_and_turn_and_letting_go_stands(visitor: Visitor, robot: Client) -> None:
+def test_keys_walk_and_turn_and_letting_go_stands(visitor: Visitor, watcher: Client) -> None:
     page = visitor.open()
     page.page.keyboard.down("w")
     expect(page.said).to_have_text("Nothing moves: this page does not have the lease.")
@@ -58,14 +57,14 @@ def test_keys_walk_and_turn_and_letting_go_stands(visitor: Visitor, robot: Clien
     page["gait-wave"].check(force=True)
     page["lower"].click()
     expect(page["walk-known"]).to_contain_text("It stands, wave")
-    robot.stop(3)
+    watcher.stop(3)
     expect(page["walk-known"]).to_contain_text("Leg 3 is stopped, and the others stand still, wave")
     expect(page.said).to_have_text("watcher stopped leg 3.")
     page["stand"].click()
     expect(page["walk-known"]).to_contain_text("It stands, wave")
-    assert robot.state().mode == "active"
+    assert watcher.state().mode == "active"
     sit(page)
-    assert robot.state().mode == "idle"
+    assert watcher.state().mode == "idle"
 
 
 @pytest.mark.parametrize(
@@ -113,7 +112,7 @@ def test_a_stick_that_no_longer_counts_moves_nothing_until_it_was_in_the_middle(
 
 
 def test_a_gamepad_out_of_reach_counts_as_let_go_and_each_ones_b_button_is_stop_all(
-    visitor: Visitor, robot: Client
+    visitor: Visitor, watcher: Client
 ) -> None:
     """A browser shows the last values of one that is out of reach, for ever: its stick seems to be held."""
     page = visitor.open(script=GAMEPAD + WISHES)
@@ -131,14 +130,14 @@ def test_a_gamepad_out_of_reach_counts_as_let_go_and_each_ones_b_button_is_stop_
     for pad in (2, 0):  # the one before is out of reach by then: its button seems to be held
         page.page.evaluate(f"pads[{pad}].buttons[1].pressed = true")
         expect(page["stop-known"]).to_contain_text("6 Stops written within")
-        assert robot.state().mode == "estopped"
+        assert watcher.state().mode == "estopped"
         page["reset"].click()
         page["question-yes"].click()
         expect(page["stop-line"]).to_have_text("Escape or space, at any time")
 
 
 def test_a_page_that_is_loaded_anew_drives_on_and_stands_until_something_is_pressed(
-    visitor: Visitor, robot: Client
+    visitor: Visitor, watcher: Client
 ) -> None:
     """On a phone a reload is one pull with the thumb. A page of another browser gets nothing by it."""
     page = visitor.open(script=WISHES)
@@ -150,13 +149,13 @@ def test_a_page_that_is_loaded_anew_drives_on_and_stands_until_something_is_pres
     page.page.wait_for_function("() => window.wishes.length > 120")  # longer than a silent page's robot stands
     assert not page.page.evaluate("window.wishes.some((wish) => wish.forward_m_s)")
     expect(page["walk-known"]).to_contain_text("It stands")
-    assert robot.state().mode == "active"
+    assert watcher.state().mode == "active"
     walks(page, push)
     page.page.mouse.up()
     sit(page)
 
 
-def test_a_hidden_page_stands_and_goes_on_with_a_new_press_only(visitor: Visitor, robot: Client) -> None:
+def test_a_hidden_page_stands_and_goes_on_with_a_new_press_only(visitor: Visitor, watcher: Client) -> None:
     page = visitor.open()
     page.get_lease()
     push(page)
@@ -167,7 +166,7 @@ def test_a_hidden_page_stands_and_goes_on_with_a_new_press_only(visitor: Visitor
     walks(page, push)
     page.hide()
     expect(page.said).to_contain_text("It stands still: this page is hidden")
-    assert robot.state().mode == "active"
+    assert watcher.state().mode == "active"
     page.show()
     expect(page["walk-known"]).to_contain_text("It stands")
     expect(page["pad"]).to_have_attribute("data-held", "no")
@@ -177,21 +176,21 @@ def test_a_hidden_page_stands_and_goes_on_with_a_new_press_only(visitor: Visitor
 
 
 def test_a_frozen_page_leaves_a_robot_that_stands_and_goes_on_with_a_new_press_only(
-    visitor: Visitor, robot: Client
+    visitor: Visitor, watcher: Client
 ) -> None:
     page = visitor.open()
     page.get_lease()
     walks(page, push)
     with frozen(*visitor.renderers()):
         newest: deque[list[float | None]] = deque(maxlen=6)
-        for state in states(robot).each():  # until for half a second no servo is commanded anywhere else
+        for state in states(watcher).each():  # until for half a second no servo is commanded anywhere else
             newest.append([servo.angle_deg for leg in state.legs for servo in leg.servos])
             if len(newest) == newest.maxlen and all(each == newest[0] for each in newest):
                 break
     expect(page.said).to_contain_text(
         re.compile("It stands still: (this page was frozen|the console received nothing)")
     )
-    assert robot.state().mode == "active"
+    assert watcher.state().mode == "active"
     page.expect_live()
     expect(page["walk-known"]).to_contain_text("It stands")
     page.page.mouse.up()

@@ -237,11 +237,9 @@ def test_mcap_ros2_decodes_every_message(ride: Path) -> None:
     assert found[LOG].name == "hexapod-gateway"
 
 
-def test_rerun_finds_no_fault_and_converts_it(ride: Path, tmp_path: Path) -> None:
+def test_rerun_finds_no_fault(ride: Path) -> None:
+    """What it shows of one: test_examples.py."""
     checked = subprocess.run([RERUN, "mcap", "check", ride], capture_output=True, text=True, check=False)
     lines = [line for line in checked.stdout.splitlines() if any(f" {topic} " in line for topic in DRAWN)]
     assert len(lines) == len(DRAWN), checked.stdout + checked.stderr
     assert all(line.startswith("ok") for line in lines), checked.stdout
-    into = tmp_path / "ride.rrd"
-    subprocess.run([RERUN, "mcap", "convert", ride, "-o", into], capture_output=True, check=True)
-    assert into.stat().st_size > 100_000

@@ -46,7 +46,9 @@ from tests.support.robot import Robot as HarnessedRobot
 __all__ = ["make_folder"]  # a fixture
 
 
-def test_init_makes_its_files_and_only_the_owner_reads_the_keys(folder: Path) -> None:
+def test_init_makes_keys_that_only_the_owner_reads_and_a_certificate_for_the_gateways_hosts_alone(
+    folder: Path,
+) -> None:
     assert mode(folder) == 0o700
     assert {path.name: mode(path) for path in folder.iterdir()} == {
         "ca.key": 0o600,
@@ -55,9 +57,6 @@ def test_init_makes_its_files_and_only_the_owner_reads_the_keys(folder: Path) ->
         "gateway.pem": 0o644,
         "gateway.json5": 0o644,
     }
-
-
-def test_the_gateways_certificate_is_good_for_its_hosts_and_no_other(folder: Path) -> None:
     for host in (*HOSTS, "other.local"):
         assert trusted(folder / "ca.pem", folder / "gateway.pem", folder / "gateway.key", host) == (host in HOSTS)
 
