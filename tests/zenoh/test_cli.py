@@ -11,13 +11,15 @@ from typing import Any
 
 import pytest
 
+from gateway.client import Client
 from gateway.people.commands.reach import me
 from schemas.telemetry import Cause, Kind, Mode
 from tests.support.command import program, run_here
-from tests.support.fixtures import gateway_fixture
+from tests.support.fixtures import client_fixture, gateway_fixture
 from tests.support.gateway_process import COMMAND, Gateway, free_port
 from tests.support.heard import events, frames
 
+pytestmark = pytest.mark.usefixtures("client")
 NOBODY = ("--connect", f"tcp/127.0.0.1:{free_port()}", "--timeout", "0.5")
 
 LEG_STOPS = [f"{joint:02x}0200" for joint in (11, 21, 31, 41, 51, 61)]
@@ -26,11 +28,7 @@ LEG_STOPS = [f"{joint:02x}0200" for joint in (11, 21, 31, 41, 51, 61)]
 gateway = gateway_fixture({"telemetry": {"frames": True}})
 
 
-@pytest.fixture(autouse=True)
-def at_rest(gateway: Gateway) -> None:
-    with gateway.client() as client:
-        client.reset()
-        client.stop()
+client = client_fixture(None, rests=True)
 
 
 @pytest.mark.parametrize(
@@ -47,18 +45,19 @@ def at_rest(gateway: Gateway) -> None:
         ("send legs stop", "accepted", [f"0e01{leg}" for leg in LEG_STOPS]),
     ],
 )
-def test_what_is_sent_is_written(gateway: Gateway, arguments: str, said: str, frames_written: list[str]) -> None:
-    with gateway.client() as client:
-        heard = frames(client)
-        end = gateway.run(*arguments.split())
-        assert (end.returncode, end.stdout) == (0, f"{said}\n"), end
-        heard.wait_for_all(
-            lambda records: all(
-                sum(each.cause is Cause.COMMAND and each.bytes.startswith(begins) for each in records)
-                >= frames_written.count(begins)
-                for begins in frames_written
-            )
+def test_what_is_sent_is_written(
+    gateway: Gateway, client: Client, arguments: str, said: str, frames_written: list[str]
+) -> None:
+    heard = frames(client)
+    end = gateway.run(*arguments.split())
+    assert (end.returncode, end.stdout) == (0, f"{said}\n"), end
+    heard.wait_for_all(
+        lambda records: all(
+            sum(each.cause is Cause.COMMAND and each.bytes.startswith(begins) for each in records)
+            >= frames_written.count(begins)
+            for begins in frames_written
         )
+    )
     hint = "The watchdog stops it 250 ms after a command; --hold S repeats it"
     assert (hint in end.stderr) is (" start " in arguments)
 
@@ -87,7 +86,7 @@ def test_hold_keeps_a_leg_running_past_the_watchdog(tmp_path: Path) -> None:
             assert client.state().lease.holder is None, "it is released"
 
 
-def test_estop_says_how_soon_reset_leaves_it_and_both_name_the_person(gateway: Gateway) -> None:
+def test_estop_says_how_soon_reset_leaves_it_and_both_name_the_person(gateway: Gateway, client: Client) -> None:
     end = gateway.run("estop")
     assert end.returncode == 0
     assert re.fullmatch(r"stopped: 6 Stop frames written within \d+ µs of the request\n", end.stdout)
@@ -96,11 +95,10 @@ def test_estop_says_how_soon_reset_leaves_it_and_both_name_the_person(gateway: G
     for each in (rejected, walked):
         assert (each.returncode, each.stdout.split(":")[1]) == (1, " estopped")
         assert each.stderr.endswith(f"until `hexapod-gateway reset --connect {gateway.endpoint}`.\n"), each
-    with gateway.client() as client:
-        state, heard = client.state(), events(client)
-        assert (state.mode, state.estop_source) == (Mode.ESTOPPED, f"{me()[:40]} (hexapod-gateway estop)")
-        end = gateway.run("reset")
-        reset = heard.wait(lambda event: event.kind == Kind.ESTOP_RESET)
+    state, heard = client.state(), events(client)
+    assert (state.mode, state.estop_source) == (Mode.ESTOPPED, f"{me()[:40]} (hexapod-gateway estop)")
+    end = gateway.run("reset")
+    reset = heard.wait(lambda event: event.kind == Kind.ESTOP_RESET)
     assert (end.returncode, end.stdout) == (0, "reset; nothing moves until it is started again\n")
     assert reset.source == f"{me()[:40]} (hexapod-gateway reset)"
 

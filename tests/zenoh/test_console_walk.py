@@ -10,11 +10,12 @@ import pytest
 from gateway.client import Client
 from schemas.telemetry import Kind
 from tests.support.console_process import TRIES, Console, Page, SignedIn
-from tests.support.fixtures import console_fixture, gateway_fixture, patient, session_fixture
+from tests.support.fixtures import client_fixture, console_fixture, gateway_fixture, patient, session_fixture
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events
 from tests.support.meanwhile import meanwhile
 
+pytestmark = pytest.mark.usefixtures("robot")
 FORWARD: Final = {"forward_m_s": 0.06}
 STEP_S: Final = 0.05
 
@@ -47,13 +48,7 @@ console = console_fixture()
 session = session_fixture()
 
 
-@pytest.fixture(autouse=True)
-def robot(gateway: Gateway) -> Iterator[Client]:
-    """At rest."""
-    with gateway.client(source="watcher") as client:
-        client.reset()
-        client.stop()
-        yield client
+robot = client_fixture("watcher", rests=True)
 
 
 @pytest.fixture

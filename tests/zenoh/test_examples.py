@@ -21,12 +21,12 @@ from schemas.robot import SERVO_IDS
 from schemas.telemetry import Cause, FrameRecord
 from tests.support.child import Child
 from tests.support.command import run_here
-from tests.support.fixtures import gateway_fixture
+from tests.support.fixtures import client_fixture, gateway_fixture
 from tests.support.gateway_process import COMMAND, READY, Gateway, free_port
 from tests.support.heard import Heard, events, frames, is_stop, last_angles
 from tests.unit.people.test_recordings import recorded
 
-pytestmark = pytest.mark.full
+pytestmark = [pytest.mark.full, pytest.mark.usefixtures("client")]
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 ELKAPOD: Final = EXAMPLES / "elkapod" / "gateway.toml"
@@ -40,12 +40,7 @@ gateway = gateway_fixture({"telemetry": {"frames": True}})
 patient = gateway_fixture({"telemetry": {"frames": True}, "watchdog": {"timeout_ms": 2000}})
 
 
-@pytest.fixture(autouse=True)
-def _at_rest(gateway: Gateway) -> None:
-    """Whatever the example before left behind."""
-    with gateway.client() as client:
-        client.reset()
-        assert client.stop().accepted
+client = client_fixture(None, rests=True)
 
 
 def run(name: str, gateway: Gateway, *arguments: str) -> str:

@@ -2,7 +2,6 @@
 
 import json
 import time
-from collections.abc import Iterator
 
 import pytest
 import zenoh
@@ -12,8 +11,7 @@ from gateway.model.frames import Frame, decode, stop_leg
 from schemas import keys
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Ack, Cause, FrameRecord, Kind, Mode
-from tests.support.fixtures import gateway_fixture
-from tests.support.gateway_process import Gateway
+from tests.support.fixtures import client_fixture, gateway_fixture
 from tests.support.heard import events, frames, servos_on
 
 START = leg_payload("start", (90, 45, 120))
@@ -21,12 +19,7 @@ START = leg_payload("start", (90, 45, 120))
 gateway = gateway_fixture({"telemetry": {"frames": True}, "watchdog": {"timeout_ms": 10_000}})
 
 
-@pytest.fixture
-def client(gateway: Gateway) -> Iterator[Client]:
-    with gateway.client() as connected:
-        connected.estop()
-        connected.reset()
-        yield connected
+client = client_fixture(None, rests=True)
 
 
 def frame_of(record: FrameRecord) -> Frame:

@@ -85,11 +85,8 @@ def test_another_way_is_searched_for_once_and_at_once_where_the_link_is_lost() -
 
 def test_radians_are_suspected_once_and_never_of_a_program_that_has_sent_degrees() -> None:
     radians = Radians()
-    assert [radians.suspected([(MOST_DEG, 0.0)], now_s) for now_s in (0.0, RADIANS_S, RADIANS_S + 1)] == [
-        False,
-        True,
-        False,
-    ]
+    found = [radians.suspected([(MOST_DEG, 0.0)], now_s) for now_s in (0.0, RADIANS_S, RADIANS_S + 1)]
+    assert found == [False, True, False]
     degrees = Radians()
     assert not any(degrees.suspected([(angle,)], now_s) for angle, now_s in ((MOST_DEG + 0.01, 0), (1, 9), (1, 99)))
     late = Radians()

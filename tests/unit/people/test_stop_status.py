@@ -188,9 +188,7 @@ def test_a_state_while_the_board_answers_is_no_alarm_but_two_without_a_confirmat
     assert alarm_after((0, DOUBTED), (PATIENCE_NS - 1, DOUBTED)) == ""
     assert alarm_after((0, DOUBTED), (100 * MS, OFF), (PATIENCE_NS, DOUBTED)) == "", "each cut has its own time"
     assert alarm_after((0, DOUBTED), (PATIENCE_NS, DOUBTED)) == UNCONFIRMED
-
-
-def test_a_board_that_never_answered_is_an_alarm_in_an_emergency_stop_alone() -> None:
+    # one that never answered, in an emergency stop alone
     assert alarm_after((0, STANDS_BY), (10 * PATIENCE_NS, STANDS_BY)) == ""
     assert alarm_after((0, STANDS_BY), mode=Mode.ESTOPPED) == UNCONFIRMED
 
