@@ -38,8 +38,7 @@ def test_silent_connections_keep_no_scrape_out_and_no_stop_waiting(tmp_path: Pat
         for count in range(1, 6):
             assert client.start_leg(3, 90, 45, 120).accepted
             heard.wait(lambda frame: frame.cause is Cause.WATCHDOG, count=count)
-        samples = read(address)
-        assert value(samples, "hexapod_frames_written_total", cause="watchdog") == 5
+        assert value(read(address), "hexapod_frames_written_total", cause="watchdog") == 5
         assert python_threads(gateway) == before, "no thread for a connection"
         assert threads(pid) <= THREADS
         assert fds(pid) < DESCRIPTORS - 50

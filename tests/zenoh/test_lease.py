@@ -1,7 +1,6 @@
 """Who is driving, asked of real gateways: with certificates and without, and no token in anything that goes out."""
 
 import json
-import urllib.request
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ from tests.support.gateway_process import Gateway, free_port
 from tests.support.heard import events
 from tests.support.robot import LEG_3, START, leg
 from tests.support.secured import Secured
+from tests.zenoh.test_metrics import read
 
 TTL_MS = 3000
 STOP = leg("stop")
@@ -63,8 +63,7 @@ def test_a_token_is_in_nothing_that_goes_out(tmp_path: Path) -> None:
         assert command(session, START, anna.lease).reason == Reason.NOT_HOLDER
         assert command(session, STOP, anna.lease).accepted
         assert ask(session, "renew", lease=carl.lease).ttl_ms == TTL_MS
-        with urllib.request.urlopen(f"http://{metrics}/metrics", timeout=20) as read:
-            page = read.read().decode()
+        page = read(metrics)
         assert 'hexapod_lease_info{holder="carl",verified="false"} 1.0' in page
         heard.wait(lambda event: f"carl was silent for {TTL_MS} ms" in event.detail)
         assert ask(session, "release", lease=carl.lease).reason == Reason.NOT_HOLDER

@@ -17,6 +17,11 @@ from tests.support.metrics_page import described, documented
 from tests.support.secured import Secured
 
 
+def read(address: str) -> str:
+    with urllib.request.urlopen(f"http://{address}/metrics", timeout=10) as answer:
+        return str(answer.read().decode())
+
+
 def value(page: str, name: str, **labels: str) -> float:
     samples = [sample for family in text_string_to_metric_families(page) for sample in family.samples]
     (found,) = [sample.value for sample in samples if sample.name == name and labels.items() <= sample.labels.items()]
@@ -30,8 +35,7 @@ def test_the_list_in_the_docs_is_the_page_and_no_web_page_reads_it_by_a_name_of_
     settings = {"telemetry": {"metrics": f"0.0.0.0:{port}"}, "state": {"path": str(tmp_path / "box")}}
     with Secured(tmp_path, settings) as secured, secured.client("anna") as client, client.lease():
         assert client.estop().accepted
-        with urllib.request.urlopen(f"http://{here}/metrics", timeout=10) as answer:
-            page = answer.read().decode()
+        page = read(here)
         assert value(page, "hexapod_sessions") == 1
         assert value(page, "hexapod_incidents_total") == 1
         assert value(page, "hexapod_build_info", version=__version__, protocol=PROTOCOL_VERSION) == 1
