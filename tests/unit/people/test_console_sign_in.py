@@ -77,11 +77,6 @@ def visitor(sessions: Sessions, monkeypatch: pytest.MonkeyPatch) -> Visitor:
     return Visitor(sessions, monkeypatch)
 
 
-@pytest.fixture
-def session(sessions: Sessions) -> SignIn:
-    return new_session(sessions)
-
-
 def hashed(key: str) -> str:
     return sha256(key.encode()).hexdigest()
 
@@ -97,7 +92,8 @@ def test_a_link_leads_to_a_card_and_nowhere_else(visitor: Visitor, sessions: Ses
     assert re.fullmatch(rf"/enter.html{re.escape(behind)}#[\w-]+", answer.headers["Location"])
 
 
-def test_each_shows_the_other_that_it_knows_the_key(visitor: Visitor, session: SignIn) -> None:
+def test_each_shows_the_other_that_it_knows_the_key(visitor: Visitor, sessions: Sessions) -> None:
+    session = new_session(sessions)
     nonce, shown = visitor.nonce(session)
     assert shown == proof(hashed(session.key), f"console mine {nonce}")
     made = visitor.proved(session)
@@ -106,8 +102,9 @@ def test_each_shows_the_other_that_it_knows_the_key(visitor: Visitor, session: S
 
 
 @pytest.mark.parametrize("origin", ["", "https://127.0.0.1:8080", "http://127.0.0.1:80801", "http://localhost:8080"])
-def test_foreign_origins(visitor: Visitor, session: SignIn, origin: str) -> None:
+def test_foreign_origins(visitor: Visitor, sessions: Sessions, origin: str) -> None:
     """Another page on this machine is as foreign as any: its origin has another port, scheme or name."""
+    session = new_session(sessions)
     made = visitor.proved(session)
     assert not visitor.comes_in(session, made, Origin=origin)
     assert visitor.status("/", session, Origin=origin) == 403
@@ -116,8 +113,8 @@ def test_foreign_origins(visitor: Visitor, session: SignIn, origin: str) -> None
     assert visitor.comes_in(session, made), "the nonce is not used up"
 
 
-def test_what_is_no_proof_lets_nobody_in(visitor: Visitor, session: SignIn, sessions: Sessions) -> None:
-    other = new_session(sessions)
+def test_what_is_no_proof_lets_nobody_in(visitor: Visitor, sessions: Sessions) -> None:
+    session, other = new_session(sessions), new_session(sessions)
     made = proof(hashed(session.key), "page ")
     empty = ("", "nonce=", "nonce=&proof=", f"nonce=&proof={made}")
     for shown in (*empty, f"key={session.key}", f"nonce=\u00e4&proof={made}"):
@@ -132,7 +129,8 @@ def test_what_is_no_proof_lets_nobody_in(visitor: Visitor, session: SignIn, sess
     assert not visitor.comes_in(session, f"nonce={nonce}&proof={shown}"), "the console's own proof is not the page's"
 
 
-def test_a_nonce_serves_for_a_short_time(visitor: Visitor, session: SignIn) -> None:
+def test_a_nonce_serves_for_a_short_time(visitor: Visitor, sessions: Sessions) -> None:
+    session = new_session(sessions)
     late, early = visitor.proved(session), visitor.proved(session)
     visitor.now_ns += NONCE_NS - 1
     assert visitor.comes_in(session, early)
