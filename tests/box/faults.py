@@ -146,13 +146,3 @@ FAULTS = (
     Fault("the key of another", "cp /root/other/gateway.key $pki", "gateway.key is not the key of"),
     Fault("a damaged list of the revoked", "echo x >$state/revoked.crl", "this is no list of"),
 )
-
-
-def table() -> str:
-    """Return all faults as a table; `python -m tests.box.faults` prints it. †: the remedy is a sentence."""
-    rows = [f"{each.what}{'†' if each.by_hand else ''} | {each.says}" for each in FAULTS]
-    return "\n".join(["planted | `check` prints", "---|---", *rows]) + "\n"
-
-
-if __name__ == "__main__":
-    print(table(), end="")

@@ -30,11 +30,6 @@ def wire_ns(batch: Batch) -> int:
     )
 
 
-def call_of(batch: Batch) -> str:
-    words = "".join(SIGNS.get(data, "m") for data, _ in batch if len(data) > 1 or data == ZERO)
-    return re.sub("z{2,}", lambda zeros: f"{len(zeros[0])}z", words) or "a"
-
-
 class Bench(SpiDevice):
     """A device whose calls fail where a scene says so, the synchronised bus above it, and a clock that they move."""
 
@@ -59,7 +54,7 @@ class Bench(SpiDevice):
         """A call that succeeds takes what the wire needs."""
         self.stall_ns = self.pause_stall_ns = 0
         """What the next call, or the next pause, takes besides."""
-        self.takes_lists, self.rejects_all = True, False
+        self.takes_lists = True
         self.meddled: str | None = None
         self.looks = self.openings = self.open_now = 0
         self.report = BatchReport()
@@ -89,10 +84,11 @@ class Bench(SpiDevice):
         return self
 
     def transfer(self, batch: Batch) -> None:
-        call = call_of(batch)
+        words = "".join(SIGNS.get(data, "m") for data, _ in batch if len(data) > 1 or data == ZERO)
+        call = re.sub("z{2,}", lambda zeros: f"{len(zeros[0])}z", words) or "a"
         self._count += 1
         failed = self.fails(self._count, call)
-        if not failed and (self.rejects_all or (len(batch) > 1 and not self.takes_lists)):
+        if not failed and len(batch) > 1 and not self.takes_lists:
             raise BatchRejectedError("no lists here")
         self.batches.append(tuple(batch))
         self.calls.append(call)
@@ -177,7 +173,6 @@ DONE: Final[dict[str, Callable[[Bench, str], object]]] = {
     "failing-takes": _set("failure_ns", _ns),
     "stalls": _set("stall_ns", _ns),
     "lists": _set("takes_lists", lambda word: word == "on"),
-    "rejects": _set("rejects_all", lambda word: word == "on"),
     "meddled": _set("meddled", str),
 }
 

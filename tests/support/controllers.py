@@ -3,6 +3,7 @@
 from collections import deque
 from typing import Any
 
+from gateway.errors import SpiError
 from gateway.model.frames import Framing
 from gateway.simulation.controller import SimulatedController, SimulatedServos
 from gateway.simulation.elkapod import GARBAGE, SimulatedElkapod
@@ -72,9 +73,13 @@ class Elkapod(SimulatedElkapod):
         """Each answer repeats the previous one."""
         self.garbage: bytes | None = None
         """These bytes in place of each measurement."""
+        self.spi_fails = False
+        """Each transfer fails."""
         self._on_ns = 0
 
     def exchange(self, data: bytes) -> bytes:
+        if self.spi_fails:
+            raise SpiError("the transfer failed: Connection timed out")
         self.transfers.append((self._clock(), data))
         if self._clock() < self._on_ns:
             return bytes(len(data))

@@ -7,12 +7,14 @@ import select
 import socket
 import threading
 from contextlib import suppress
-from typing import Final, Self
+from typing import Final
+
+from tests.support.closing import Closing
 
 _CHUNK: Final = 65536
 
 
-class CutLink:
+class CutLink(Closing):
     """Forwards between a client, which connects to `endpoint`, and the gateway, while it is not cut."""
 
     def __init__(self, gateway: str) -> None:
@@ -27,13 +29,7 @@ class CutLink:
         self._sockets = [self._listener]
         threading.Thread(target=self._accept, name="cut link", daemon=True).start()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.drop()
-
-    def drop(self) -> None:
+    def close(self) -> None:
         """End it for good; what waits is lost."""
         for each in self._sockets:
             with suppress(OSError):

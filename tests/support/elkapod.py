@@ -5,7 +5,6 @@ import struct
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from gateway.errors import SpiError
 from gateway.model.elkapod import SHUTDOWN, START
 from gateway.robot.spi import Wire
 from gateway.robot.spi.cyclic import CYCLE_HZ, CyclicBus
@@ -13,17 +12,6 @@ from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Kind
 from tests.support.controllers import Elkapod
 from tests.support.robot import MS, Robot, leg
-
-
-class FailingElkapod(Elkapod):
-    """Fails as the test sets it to."""
-
-    spi_fails = False
-
-    def exchange(self, data: bytes) -> bytes:
-        if self.spi_fails:
-            raise SpiError("the transfer failed: Connection timed out")
-        return super().exchange(data)
 
 
 class ElkapodRobot(Robot):
@@ -37,7 +25,7 @@ class ElkapodRobot(Robot):
         self.loop.call_later(1 / CYCLE_HZ, self._go_on)
 
     def wire(self) -> Wire:
-        self.elkapod = FailingElkapod(clock=self.now_ns)
+        self.elkapod = Elkapod(clock=self.now_ns)
         self.cyclic = CyclicBus(
             lambda: self.elkapod,
             lambda: self.elkapod,

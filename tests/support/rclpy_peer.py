@@ -149,7 +149,7 @@ class Actor:
         """Be a publisher from now on."""
         publisher = self._node.create_publisher(_ros_type(kind), topic, 10)
         self._publishers[topic] = publisher
-        _wait(lambda: publisher.get_subscription_count() > 0)
+        wait_until(lambda: publisher.get_subscription_count() > 0, "somebody subscribes there", ANSWER_S)
 
     def withdraw(self, topic: str) -> None:
         """Publish there no more."""
@@ -162,10 +162,8 @@ class Actor:
 
     def publish_empty(self, topic: str) -> None:
         """One std_msgs/Empty."""
-        kind = _ros_type("std_msgs/msg/Empty")
-        publisher = self._node.create_publisher(kind, topic, 10)
-        _wait(lambda: publisher.get_subscription_count() > 0)
-        publisher.publish(kind())
+        self.advertise(topic, "std_msgs/msg/Empty")
+        self._publishers[topic].publish(_ros_type("std_msgs/msg/Empty")())
 
     def subscribe(self, topic: str, kind: str, latched: bool = False) -> None:
         """`latched`: and ask for what was published before."""
@@ -228,16 +226,6 @@ def _remove_half_made() -> None:
         with suppress(OSError):
             if port.stat().st_mtime < time.time() - _MADE_S and port.read_bytes()[:4] == bytes(4):
                 port.unlink()
-
-
-def _wait(condition: Any) -> None:
-    """DDS reports no event of discovery to Python."""
-    ended = threading.Event()
-    for _ in range(int(ANSWER_S / 0.02)):
-        if condition():
-            return
-        ended.wait(0.02)
-    raise TimeoutError("nobody subscribes there")
 
 
 def _ros_type(type_name: str) -> Any:

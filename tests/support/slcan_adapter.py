@@ -4,26 +4,25 @@ import os
 import select
 import threading
 import time
-import tty
-from contextlib import suppress
+from pathlib import Path
 
 from gateway.simulation.board import SimulatedBoard
-from gateway.simulation.board_port import SimulatedAdapter
+from gateway.simulation.board_port import Device, SimulatedAdapter
 
 TICK_MS = 1
 
 
-class Adapter:
+class Adapter(Device):
     """Serves until `unplug`."""
+
+    say = Device.write
 
     def __init__(self, link: str) -> None:
         """`link`: the path that leads to the terminal."""
+        super().__init__(Path(link))
         self.board = SimulatedBoard(time.monotonic_ns())
         self.received: list[bytes] = []
         """The program's lines."""
-        self._ours, self._theirs = os.openpty()
-        tty.setraw(self._theirs)
-        os.symlink(os.ttyname(self._theirs), link)
         self._ends = threading.Event()
         self._reads = threading.Event()
         self._reads.set()
@@ -34,7 +33,7 @@ class Adapter:
         self._ends.set()
         self._thread.join()
         os.close(self._theirs)
-        os.close(self._ours)
+        os.close(self.fd)
 
     def pause(self) -> None:
         """Read nothing any more."""
@@ -44,20 +43,14 @@ class Adapter:
         self._reads.set()
 
     def _serve(self) -> None:
-        os.set_blocking(self._ours, False)
         adapter = SimulatedAdapter()
         while not self._ends.is_set():
             self._reads.wait()
-            if select.select([self._ours], [], [], TICK_MS / 1000)[0]:
-                data = os.read(self._ours, 65536)
-                self.received += data.split(b"\r")[:-1]
-                frames, answers = adapter.take(data)
-                self.say(answers)
-                for frame in frames:
-                    self.say(b"".join(map(adapter.text, self.board.take(frame, time.monotonic_ns()))))
-            self.say(b"".join(map(adapter.text, self.board.advance(time.monotonic_ns()))))
-
-    def say(self, data: bytes) -> None:
-        """Bytes for the program."""
-        with suppress(BlockingIOError):  # as a USB adapter whose host does not read
-            os.write(self._ours, data)
+            select.select([self.fd], [], [], TICK_MS / 1000)
+            data = self.read()
+            self.received += data.split(b"\r")[:-1]
+            frames, answers = adapter.take(data)
+            self.write(answers)
+            for frame in frames:
+                self.write(b"".join(map(adapter.text, self.board.take(frame, time.monotonic_ns()))))
+            self.write(b"".join(map(adapter.text, self.board.advance(time.monotonic_ns()))))
