@@ -36,11 +36,8 @@ exit 0
 @cache
 def lacks() -> str:
     """What this machine lacks for a box, in one line; empty when nothing."""
-    if os.geteuid() != 0:
-        return "a systemd in a box needs root"
-    missing = [tool for tool in ("unshare", "nsenter", "systemctl", "ip") if shutil.which(tool) is None]
-    if missing:
-        return f"a systemd in a box needs {', '.join(missing)}"
+    if lack := lacks_tools("a systemd in a box is", "unshare", "nsenter", "systemctl", "ip"):
+        return lack
     if not Path("/lib/systemd/systemd").exists():
         return "a systemd in a box needs Debian's systemd"
     probe = ["unshare", "--fork", "--pid", "--mount", "--uts", "--ipc", "--net", "--cgroup", "mount", "-t", "cgroup2"]
@@ -110,12 +107,6 @@ class Box(Closing):
     def root(self) -> Path:
         """Its root, as it is seen from outside."""
         return Path(f"/proc/{self._pid}/root")
-
-    @property
-    def journal_option(self) -> str:
-        """What makes a `journalctl` outside read the journal inside."""
-        folder = next(path for path in ("var/log/journal", "run/log/journal") if self.exists(f"/{path}"))
-        return f"--directory=/proc/{self._pid}/root/{folder}"
 
     def command(self, *command: str) -> list[str]:
         """The command line that runs `command` inside, from outside. Let it end by itself.

@@ -84,7 +84,8 @@ class InstalledGateway(Closing):
 
     def journal(self, unit: Unit | None = None) -> Child:
         """A unit's journal from now on, by default the service's, as a child whose lines can be waited for."""
-        options = (self.box.journal_option, *self._journal_options(self.cursor(), unit))
+        folder = next(path for path in ("var/log/journal", "run/log/journal") if self.box.exists(f"/{path}"))
+        options = (f"--directory={self.box.root / folder}", *self._journal_options(self.cursor(), unit))
         return Child(["journalctl", "--follow", *options], {"PATH": "/usr/bin:/bin", "LANG": "C.UTF-8"})
 
     def _journal_options(self, cursor: str, unit: Unit | None = None) -> tuple[str, ...]:

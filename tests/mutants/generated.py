@@ -138,12 +138,8 @@ def short(operator: str) -> str:
 
 def _in_a_line(lines: list[str]) -> str:
     """Without comments, so that another comment is no other mutant."""
-    return (
-        " ".join(" ".join(re.sub(r"(^|\s\s)#\s.*", "", line) for line in lines).split())
-        .replace("( ", "(")
-        .replace("[ ", "[")
-        .replace("{ ", "{")
-    )
+    text = " ".join(re.sub(r"(^|\s\s)#\s.*", "", line) for line in lines)
+    return re.sub(r"([(\[{]) ", r"\1", " ".join(text.split()))
 
 
 def _alike(lines: list[str], others: list[str]) -> int:

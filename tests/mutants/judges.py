@@ -1,5 +1,6 @@
 """Which tests judge which file: those that find most come first. All run in one process, without sleeping."""
 
+from functools import partial
 from typing import Final
 
 
@@ -7,18 +8,9 @@ def _tests(folder: str, names: str) -> tuple[str, ...]:
     return tuple(f"tests/{folder}/test_{name}.py" for name in names.split())
 
 
-def _robot(names: str) -> tuple[str, ...]:
-    return _tests("unit/robot", names)
-
-
-def _model(names: str) -> tuple[str, ...]:
-    return _tests("unit/model", names)
-
-
-def _people(names: str) -> tuple[str, ...]:
-    return _tests("unit/people", names)
-
-
+_robot: Final = partial(_tests, "unit/robot")
+_model: Final = partial(_tests, "unit/model")
+_people: Final = partial(_tests, "unit/people")
 _BACKLOG: Final = _robot("backlog")[0]
 _SETTINGS: Final = _tests("unit", "setting_effects")
 _CONDUCTOR: Final = (

@@ -272,7 +272,9 @@ class _Loaded(_Tests):
             return True
         limits = _Limits(5 + 4 * (_children_used_s() - used_s), 15 + 6 * (time.monotonic() - begun_s))
         _tell(self.report, limits=[limits.processor_s, limits.all_s])
-        notes = [json.loads(line) for line in _text(noted).splitlines()]
+        with open(noted, encoding="utf-8") as lines:
+            lines.seek(0)
+            notes = [json.loads(line) for line in lines]
         calls = {test: called for test, _, called in notes}
         quick_first = [test for test, _, _ in sorted(notes, key=lambda note: float(note[1]))]
         for number, mutated in enumerate(self.subject.mutated):
@@ -306,12 +308,6 @@ class _Loaded(_Tests):
             os.write(self.noted, f"{json.dumps([nodeid, self.took_s, sorted(self.now)])}\n".encode())
             self.now.clear()
             self.took_s = 0
-
-
-def _text(file: int) -> str:
-    with open(file, encoding="utf-8") as opened:
-        opened.seek(0)
-        return opened.read()
 
 
 def _children_used_s() -> float:

@@ -29,6 +29,7 @@ from tests.support.child import Child
 from tests.support.closing import Closing
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.ros2_messages import plain
+from tests.support.waiting import wait_until
 
 TRIGGER: Final = "std_srvs/srv/Trigger"
 ANSWER_S: Final = 40.0
