@@ -157,7 +157,7 @@ class SpiTestbed(Closing):
     def events(self) -> list[Event]:
         """All that has arrived up to now: openings, settings and transfers, in order."""
         if not self._ended:
-            self._command("sync")
+            self._command("set")
         with self._changed:
             return list(self._events)
 
@@ -242,7 +242,7 @@ class SpiTestbed(Closing):
     def answer(self, data: bytes) -> None:
         """What later transfers read; without waiting until it holds."""
         with self._changed:
-            self._send(0, "answer", data=data.hex())
+            self._send(0, "set", answer=data.hex())
 
     def _send(self, number: int, name: str, **arguments: object) -> None:
         self._channel.sendall(json.dumps({"id": number, "do": name, **arguments}).encode() + b"\n")

@@ -158,9 +158,9 @@ class SpiController:
             for cycle in [segments] if rejected else self._cycles(segments):
                 code = code or self._verdict()
                 data = b"".join(segment.data for segment in cycle)
-                self._emit(
-                    {**about, "monotonic_ns": at_ns, "data": data.hex(), "errno": code, **self._described(cycle)}
-                )
+                about |= {"speed_hz": cycle[0].speed_hz or self._speed_hz, "bits_per_word": cycle[0].bits or self._bits}
+                about |= {"segments": len(cycle), "pause_us": cycle[-1].delay_us}
+                self._emit({**about, "monotonic_ns": at_ns, "data": data.hex(), "errno": code})
                 length += len(data)
                 if code:
                     break
@@ -186,11 +186,6 @@ class SpiController:
             if segment.cs_change and segment is not segments[-1] and not self._faults["ignores_cs_change"]:
                 cycles.append([])
         return cycles
-
-    def _described(self, cycle: list[Segment]) -> dict[str, int]:
-        speed_hz, bits = cycle[0].speed_hz or self._speed_hz, cycle[0].bits or self._bits
-        pause_us = cycle[-1].delay_us
-        return {"speed_hz": speed_hz, "bits_per_word": bits, "segments": len(cycle), "pause_us": pause_us}
 
     def _rejection(self, client: Any, data: list[bytes]) -> int:
         """Why none of a call's transfers is made; 0: they are."""
@@ -268,10 +263,8 @@ class Testbed:
         self._hidden = self.root / "ioctl.hidden"
         self.restore_node()
         self.commands: dict[str, Callable[..., None]] = {
-            "sync": lambda: None,
             "set": self._controller.set,
             "release": self._controller.release,
-            "answer": lambda data: self._controller.set(answer=data),
             "remove_node": self.remove_node,
             "restore_node": self.restore_node,
         }
@@ -303,11 +296,8 @@ class Testbed:
             fresh.rename(self._node)
         self._node.chmod(0o660)
 
-    def close(self) -> None:
-        shutil.rmtree(self.root, ignore_errors=True)
 
-
-def serve(channel: socket.socket) -> int:
+def serve(channel: socket.socket) -> None:
     """Obey the test kit until it closes its end."""
     write_lock = threading.Lock()
 
@@ -329,17 +319,15 @@ def serve(channel: socket.socket) -> int:
             if number:
                 emit({"is": "reply", "id": number, "error": error})
     finally:
-        bed.close()
-    return 0
+        shutil.rmtree(bed.root, ignore_errors=True)
 
 
-def main() -> int:
+def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the test run, which then closes the socket
     with socket.socket(fileno=int(sys.argv[1])) as channel:
-        return serve(channel)
+        serve(channel)
 
 
 if __name__ == "__main__":
-    code = main()
-    sys.stdout.flush()
-    os._exit(code)  # umockdev's thread has no end of its own
+    main()
+    os._exit(0)  # umockdev's thread has no end of its own

@@ -89,8 +89,7 @@ def kill_once(bed: SpiTestbed, framing: Framing, config: Path, moment_s: float) 
     stops = stop_servos(bed, config)
     of_gateway = [each for each in bed.transfers if each.opening == earlier + 2]  # behind its very first Stops
     check_black_box(config.parent / "box" / RING_FILE, of_gateway)
-    replay = Replay(framing)
-    replay.play(of_gateway)
+    replay = Replay(framing).play(of_gateway)
     first_move = next(place for place, each in enumerate(of_gateway) if moves(each))
     stopped_again = any(each.data.hex() in STOPS for each in of_gateway[first_move:])  # see check_black_box
     assert replay.controller.energised or stopped_again

@@ -46,6 +46,5 @@ def test_stops_come_in_the_framing_that_the_controller_understands(
         places = [story.rindex(text) for text in told]
         assert places == sorted(places), story
     wire.expect_opening(*STOPS)
-    replay = Replay(wire.framing)
-    replay.play(wire.bed.transfers)
+    replay = Replay(wire.framing).play(wire.bed.transfers)
     assert not replay.controller.corruptions

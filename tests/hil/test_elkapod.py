@@ -78,11 +78,7 @@ class ElkapodBed(SpiTestbed):
 
     def settings_with(self, **sections: dict[str, Any]) -> dict[str, dict[str, Any]]:
         """For a gateway on this robot."""
-        return {
-            **sections,
-            "wire": {"name": "elkapod-2025"},
-            "controller": {"uart": str(self.uart), **sections.get("controller", {})},
-        }
+        return {**sections, "wire": {"name": "elkapod-2025"}, "controller": {"uart": str(self.uart)}}
 
     def _play(self) -> None:
         seen = 0

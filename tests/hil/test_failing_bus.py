@@ -29,7 +29,6 @@ STOP_SERVOS = 4
 SHARE = 0.2
 """Of the transfers, which fail."""
 ALL_START = {"legs": {str(leg): leg_payload("start", (90, 90, 90)) for leg in LEGS}}
-WATCHDOG = {"timeout_ms": 10_000}
 
 
 def off_ms(replay: Replay, transfers: list[Transfer], since_ns: int) -> float | None:
@@ -73,7 +72,7 @@ def check(found: list[float | None]) -> None:
 
 @EACH_FRAMING
 def test_an_emergency_stop_stops_all_legs_though_transfers_fail(tmp_path: Path, wire: Wire) -> None:
-    with start(tmp_path, wire, watchdog=WATCHDOG) as gateway, gateway.client() as client:
+    with start(tmp_path, wire) as gateway, gateway.client() as client:
         found = [trial(wire.bed, wire.framing, client, seed) for seed in range(TRIALS)]
     print(f"{wire.framing}, {SHARE:.0%} fail: {figures(found)}")
     check(found)
@@ -82,7 +81,7 @@ def test_an_emergency_stop_stops_all_legs_though_transfers_fail(tmp_path: Path, 
 @EACH_FRAMING
 def test_stop_servos_stops_all_legs_though_transfers_fail(tmp_path: Path, wire: Wire) -> None:
     spi_testbed, framing = wire.bed, wire.framing
-    config = write_settings(tmp_path / "gateway.toml", settings_for(wire, watchdog=WATCHDOG))
+    config = write_settings(tmp_path / "gateway.toml", settings_for(wire))
     found = []
     for seed in range(STOP_SERVOS):
         before = len(spi_testbed.transfers)

@@ -83,8 +83,7 @@ class Scene:
         legs = [frame.servos[0][0] // 10 for frame in frames[last + 1 :]]
         assert legs[: len(LEGS)] == [*LEGS]
         assert legs == ([*LEGS] * len(legs))[: len(legs)]
-        replay = Replay(Framing.LENGTH_PREFIXED)
-        replay.play(self.bed.transfers)
+        replay = Replay(Framing.LENGTH_PREFIXED).play(self.bed.transfers)
         assert replay.energised_for_good() == frozenset()
         assert not replay.controller.corruptions
 

@@ -41,15 +41,13 @@ def test_check_move_shows_that_a_driver_ignores_cs_change_and_what_to_do(
         for answer in ("", "", "yes"):  # servo 61, at 90 degrees
             child.tell(answer)
         child.wait_for_output("All six legs were stopped at once", LATE_S)
-        seen = Replay(wire.framing, selects=True)
-        seen.play(spi_testbed.transfers)
+        seen = Replay(wire.framing, selects=True).play(spi_testbed.transfers)
         assert 61 in seen.controller.energised
         child.tell("yes")
         child.tell("no")
         assert child.wait(LATE_S) == 1, str(child)
         assert SELECT_BY_GPIO in child.stdout
-        left = Replay(wire.framing, selects=True)
-        left.play(spi_testbed.transfers)
+        left = Replay(wire.framing, selects=True).play(spi_testbed.transfers)
         assert left.controller.energised == frozenset(), "its last Stop is alone in its call"
         assert OneServo(61, ServoOp(Op.STOP)).data in [each.data for each in spi_testbed.transfers if each.delivered]
 

@@ -39,7 +39,6 @@ def test_whoever_starts_legs_meanwhile_the_state_is_what_the_controller_does(
                 child = wire.bed.spawn([*COMMAND, "stop-servos", "--config", str(config)])
                 assert child.wait(LATE_S) == 0, str(child)
                 starter.result(LATE_S)
-            replay = Replay(wire.framing)
-            replay.play(wire.bed.transfers)
+            replay = Replay(wire.framing).play(wire.bed.transfers)
             assert replay.energised_for_good() == servos_on(client.state())
             assert not replay.controller.corruptions

@@ -50,7 +50,7 @@ def board(tmp_path: Path) -> Iterator[RecordedBoard]:
 def gateway(request: pytest.FixtureRequest, tmp_path: Path, wire: Wire, board: RecordedBoard) -> Iterator[Gateway]:
     """A gateway whose board answers."""
     power = {**board.settings, **getattr(request, "param", {})}
-    with start(tmp_path, wire, power=power, watchdog={"timeout_ms": 10_000}) as running:
+    with start(tmp_path, wire, power=power) as running:
         with running.client() as client:
             states(client).wait(answers_steadily())
         yield running

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import pytest
 
@@ -154,11 +154,12 @@ class Replay:
         self._selects = selects
         self.controller = Controller(framing, clock=lambda: self.now_ns)
 
-    def play(self, transfers: Iterable[Transfer]) -> None:
+    def play(self, transfers: Iterable[Transfer]) -> Self:
         """What of these was delivered."""
         for transfer in transfers:
             if transfer.delivered:
                 self.give(transfer.data, transfer.monotonic_ns)
+        return self
 
     def give(self, data: bytes, now_ns: int) -> None:
         self.now_ns = now_ns

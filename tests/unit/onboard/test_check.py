@@ -9,7 +9,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType, SimpleNamespace
-from typing import Any, NamedTuple
+from typing import Any
 
 import pytest
 
@@ -146,25 +146,21 @@ PLANTED: tuple[tuple[Plant, str], ...] = (
 """Each fault with its sentence, and last what is well."""
 
 
-class Scene(NamedTuple):
-    """`plant` returns what the probes look at; `patch` takes the place of what a test cannot plant."""
+class Scene:
+    """`plant` returns what the probes look at; `patch` takes the place of what a test cannot plant.
 
-    name: str
-    plant: Callable[[Path], CheckedRobot]
-    lines: tuple[str, ...]
-    patch: Mapping[str, object]
-    probes: tuple[Probes, ...]
+    `lines` are all with this name.
+    """
 
-
-def scene(
-    name: str,
-    plant: Callable[[Path], CheckedRobot],
-    *lines: str,
-    patch: Mapping[str, object] = MappingProxyType({}),
-    probes: tuple[Probes, ...] = PROBES,
-) -> Scene:
-    """All lines with this name."""
-    return Scene(name, plant, lines, patch, probes)
+    def __init__(
+        self,
+        name: str,
+        plant: Callable[[Path], CheckedRobot],
+        *lines: str,
+        patch: Mapping[str, object] = MappingProxyType({}),
+        probes: tuple[Probes, ...] = PROBES,
+    ) -> None:
+        self.name, self.plant, self.lines, self.patch, self.probes = name, plant, lines, patch, probes
 
 
 def here(tree: Mapping[str, Any] | None = None, **sections: Any) -> Callable[[Path], CheckedRobot]:
@@ -196,7 +192,7 @@ def files(contents: Mapping[str, str], **sections: Any) -> Callable[[Path], Chec
 
 
 def clocked(speed_hz: int, *lines: str, **spi: Any) -> Scene:
-    return scene("SPI speed", here(spi={"speed_hz": speed_hz, **spi}), *lines)
+    return Scene("SPI speed", here(spi={"speed_hz": speed_hz, **spi}), *lines)
 
 
 def dated(days_left: int, *lines: str) -> Scene:
@@ -209,7 +205,7 @@ def dated(days_left: int, *lines: str) -> Scene:
     def read(look: CheckedRobot) -> Iterator[Result | None]:
         return iter(list(security.certificates(look, NOW + (90 - days_left) * DAY))[1:2])
 
-    return scene("certificates", plant, *lines, probes=(read,))
+    return Scene("certificates", plant, *lines, probes=(read,))
 
 
 def unit(**properties: str) -> Callable[[Path], CheckedRobot]:
@@ -359,144 +355,144 @@ def disk(**differs: int) -> dict[str, object]:
 
 # fmt: off
 SCENES = (
-    scene(UNIT, unit(), "ok systemd unit: is enabled and active"),
-    scene(UNIT, here(), "warning … systemd does not run here"),
-    scene(UNIT, unit(ActiveState="inactive"), "warning … → sudo systemctl enable --now hexapod-gateway"),
-    scene(UNIT, unit(UnitFileState="disabled"), "warning … → sudo systemctl enable --now hexapod-gateway"),
-    scene(UNIT, unit(ActiveState="failed", Result="exit-code"),
+    Scene(UNIT, unit(), "ok systemd unit: is enabled and active"),
+    Scene(UNIT, here(), "warning … systemd does not run here"),
+    Scene(UNIT, unit(ActiveState="inactive"), "warning … → sudo systemctl enable --now hexapod-gateway"),
+    Scene(UNIT, unit(UnitFileState="disabled"), "warning … → sudo systemctl enable --now hexapod-gateway"),
+    Scene(UNIT, unit(ActiveState="failed", Result="exit-code"),
           "failure … has failed (exit-code) → journalctl -u … sudo systemctl reset-failed"),
-    scene(UNIT, unit(LoadState="not-found"), "warning … is not installed … → sudo apt install"),
-    scene(UNIT, unit(LoadState="bad-setting"), "failure … cannot be loaded (bad-setting)"),
-    scene("user", here(), "failure user: there is no user hexapod-gateway, so … sudo systemd-sysusers"),
-    scene("user", served(here()), *("failure user: there is no group",) * 3, patch={"grp.getgrall": list}),
-    scene("state", unit(), "warning … is on overlay, which a boot empties",
+    Scene(UNIT, unit(LoadState="not-found"), "warning … is not installed … → sudo apt install"),
+    Scene(UNIT, unit(LoadState="bad-setting"), "failure … cannot be loaded (bad-setting)"),
+    Scene("user", here(), "failure user: there is no user hexapod-gateway, so … sudo systemd-sysusers"),
+    Scene("user", served(here()), *("failure user: there is no group",) * 3, patch={"grp.getgrall": list}),
+    Scene("state", unit(), "warning … is on overlay, which a boot empties",
           patch={MOUNT: lambda _: ("/", "overlay")}),
-    *(scene("disk", here(), *lines, patch=disk(**differs)) for differs, lines in (
+    *(Scene("disk", here(), *lines, patch=disk(**differs)) for differs, lines in (
           ({}, ()),
           ({"f_flag": os.ST_RDONLY}, ["/mnt is mounted read-only … sudo mount -o remount,rw /mnt"]),
           ({"f_bavail": 3 << 10}, ["failure disk: /mnt has 3 MB free … sudo journalctl --vacuum-size=50M"]),
           ({"f_favail": 9}, ["failure disk: /mnt has … and room for 9 files … sudo du -xh /mnt"]))),
-    scene("Wi-Fi", files({"sys/class/net/wlan0/phy80211/x": ""}), "warning Wi-Fi: wlan0 saves power … sudo tee",
+    Scene("Wi-Fi", files({"sys/class/net/wlan0/phy80211/x": ""}), "warning Wi-Fi: wlan0 saves power … sudo tee",
           patch={"fcntl.ioctl": lambda *_: None}),
-    scene("processor", files({f"{CPU}governor": "powersave", f"{CPU}driver": "cpufreq-dt"}),
+    Scene("processor", files({f"{CPU}governor": "powersave", f"{CPU}driver": "cpufreq-dt"}),
           "warning processor: its governor is powersave … sudo tee /etc/tmpfiles.d/"),
-    scene("processor", files({f"{CPU}governor": "powersave", f"{CPU}driver": "intel_pstate"})),
-    scene("processor", files({f"{CPU}governor": "ondemand", f"{CPU}driver": "cpufreq-dt"})),
-    scene("supply", files({"sys/class/hwmon/hwmon1/name": "rpi_volt\n", "sys/class/hwmon/hwmon1/in0_lcrit_alarm":
+    Scene("processor", files({f"{CPU}governor": "powersave", f"{CPU}driver": "intel_pstate"})),
+    Scene("processor", files({f"{CPU}governor": "ondemand", f"{CPU}driver": "cpufreq-dt"})),
+    Scene("supply", files({"sys/class/hwmon/hwmon1/name": "rpi_volt\n", "sys/class/hwmon/hwmon1/in0_lcrit_alarm":
                            "1\n"}), "warning supply: this Raspberry Pi's supply voltage is low"),
-    scene("supply", files({"sys/class/hwmon/hwmon1/name": "rpi_volt", "sys/class/hwmon/hwmon1/in0_lcrit_alarm": "0"})),
-    scene("SPI device", here(spi={"device": "/bin/sh"}), "failure … /bin/sh is no device node → switch SPI on"),
-    scene("SPI device", here(spi={"device": "/dev/none"}), "/dev/none: No such file or directory → switch SPI"),
-    scene("SPI device", served(here(**NODE)), "may not be opened … → sudo chgrp spi /dev/null && sudo chmod",
+    Scene("supply", files({"sys/class/hwmon/hwmon1/name": "rpi_volt", "sys/class/hwmon/hwmon1/in0_lcrit_alarm": "0"})),
+    Scene("SPI device", here(spi={"device": "/bin/sh"}), "failure … /bin/sh is no device node → switch SPI on"),
+    Scene("SPI device", here(spi={"device": "/dev/none"}), "/dev/none: No such file or directory → switch SPI"),
+    Scene("SPI device", served(here(**NODE)), "may not be opened … → sudo chgrp spi /dev/null && sudo chmod",
           patch=DENIED),
-    scene("SPI device", here(**NODE), "→ until the next boot: sudo chown", patch=DENIED),
-    scene("SPI device", here(**NODE), "failure SPI device: /dev/null cannot be opened … is /dev/null a SPI device?"),
-    scene("SPI device", here(**NODE), "failure SPI device: /dev/null cannot be opened",
+    Scene("SPI device", here(**NODE), "→ until the next boot: sudo chown", patch=DENIED),
+    Scene("SPI device", here(**NODE), "failure SPI device: /dev/null cannot be opened … is /dev/null a SPI device?"),
+    Scene("SPI device", here(**NODE), "failure SPI device: /dev/null cannot be opened",
           patch={"gateway.robot.spi.outside.is_gateways": raises(OSError(errno.ENODEV, "no such device"))}),
-    scene("SPI device", here(**NODE), "failure … /dev/null is held by another program … sudo fuser -v /dev/null",
+    Scene("SPI device", here(**NODE), "failure … /dev/null is held by another program … sudo fuser -v /dev/null",
           patch={SPIDEV: BUSY, "gateway.robot.spi.outside.is_gateways": lambda _: False}),
-    scene("SPI device", here(**NODE), "ok SPI device: /dev/null is the running gateway's",
+    Scene("SPI device", here(**NODE), "ok SPI device: /dev/null is the running gateway's",
           patch={SPIDEV: BUSY, "gateway.robot.spi.outside.is_gateways": lambda _: True}),
-    scene("wire", here()),
-    scene("wire", BOARD, "ok wire: x opens →"),
-    scene("wire", BOARD, "failure wire: x: no such device → read what the plug-in needs",
+    Scene("wire", here()),
+    Scene("wire", BOARD, "ok wire: x opens →"),
+    Scene("wire", BOARD, "failure wire: x: no such device → read what the plug-in needs",
           patch={"gateway.onboard.check.wire.PluginDevice": raises(SpiError("x: no such device"))}),
-    scene("SPI controller", here({}), "ok SPI controller: Raspberry Pi 4 Model B Rev 1.4, Linux 6.6.31+rpt-rpi-v8, "
+    Scene("SPI controller", here({}), "ok SPI controller: Raspberry Pi 4 Model B Rev 1.4, Linux 6.6.31+rpt-rpi-v8, "
           "spi-bcm2835, chip select is a GPIO →"),
-    scene("SPI controller", here({"cs_gpios": None}), "the controller drives chip select"),
-    scene("SPI controller", here(), "ok … nothing is known of it →"),
-    scene("SPI controller", built("#1 SMP Debian 1:6.6.74-1 (2025-02-04)"), "warning … a kernel of 2025-02-04"),
-    scene("SPI controller", built("#1 SMP Debian 1:6.6.74-1 (2025-02-05)"), "ok … Raspberry Pi 5"),
-    scene("SPI controller", built("#1 SMP PREEMPT Wed Mar 19 11:03:01 GMT 2025"), "ok … dw_spi_mmio"),
-    scene("SPI controller", built("#1 SMP PREEMPT"), "warning … a kernel of an unknown time … update the kernel"),
-    scene("SPI controller", here({"driver": "dw_spi_mmio", "model": "StarFive VisionFive 2"}),
+    Scene("SPI controller", here({"cs_gpios": None}), "the controller drives chip select"),
+    Scene("SPI controller", here(), "ok … nothing is known of it →"),
+    Scene("SPI controller", built("#1 SMP Debian 1:6.6.74-1 (2025-02-04)"), "warning … a kernel of 2025-02-04"),
+    Scene("SPI controller", built("#1 SMP Debian 1:6.6.74-1 (2025-02-05)"), "ok … Raspberry Pi 5"),
+    Scene("SPI controller", built("#1 SMP PREEMPT Wed Mar 19 11:03:01 GMT 2025"), "ok … dw_spi_mmio"),
+    Scene("SPI controller", built("#1 SMP PREEMPT"), "warning … a kernel of an unknown time … update the kernel"),
+    Scene("SPI controller", here({"driver": "dw_spi_mmio", "model": "StarFive VisionFive 2"}),
           "ok SPI controller: StarFive"),
-    scene("SPI bus", here({}), "ok SPI bus: no other driver uses it"),
-    scene("SPI bus", neighbours, "warning … shared with spi0.1 (driver fb_st7789v), spi0.2 (driver mcp251x): an"),
+    Scene("SPI bus", here({}), "ok SPI bus: no other driver uses it"),
+    Scene("SPI bus", neighbours, "warning … shared with spi0.1 (driver fb_st7789v), spi0.2 (driver mcp251x): an"),
     clocked(2_500_000, f"ok … {TAKES.format('0.6')}"),
     clocked(2_500_001, "warning … set spi.speed_hz = 2500000, or measure"),
     clocked(50_000, "ok"),
     clocked(10_000, "warning … up to 2.5 MHz → set spi.speed_hz = 2500000"),
     clocked(2_500_000, TAKES.format("12.4"), **LENGTH, frame_gap_us=1000),
-    scene("SPI speed", here(wire={"name": "elkapod-2025"}), "ok SPI speed: 1 MHz; a frame takes 0.6 ms to write"),
-    scene("SPI lists", here({}), "ok SPI lists: the controller reads each"),
-    scene("SPI lists", here({"cs_gpios": None}), "warning … whether spi-bcm2835 releases … hexapod-gateway check "
+    Scene("SPI speed", here(wire={"name": "elkapod-2025"}), "ok SPI speed: 1 MHz; a frame takes 0.6 ms to write"),
+    Scene("SPI lists", here({}), "ok SPI lists: the controller reads each"),
+    Scene("SPI lists", here({"cs_gpios": None}), "warning … whether spi-bcm2835 releases … hexapod-gateway check "
           "--move"),
-    scene("SPI lists", here({"cs_gpios": None}, spi=LENGTH), "ok SPI lists: the controller reads each"),
-    scene("SPI lists", here(), "warning SPI lists: it is unknown whether this driver"),
-    scene("framing", here(), "warning framing: plain, … with it the published STM32 firmware hangs"),
-    scene("framing", here(spi=LENGTH), "ok framing: length-prefixed, as "),
-    scene("framing", here(wire={"name": "elkapod-2025"})),
-    scene("SPI lists", here(wire={"name": "elkapod-2025"})),
-    scene("UART", here()),
-    scene("UART", uart("/none/ttyAMA1"), ": No such file or directory → switch it on and reboot: sudo"),
-    scene("UART", uart("/bin/sh"), "failure UART: /bin/sh is no device node"),
-    scene("UART", NULL, "failure UART: the UART /dev/null cannot be opened"),
-    scene("UART", served(NULL), "→ sudo chgrp dialout /dev/null", patch=DENIED),
-    scene("UART", console("tty1 null"), "failure UART: /dev/null has Linux's console", patch={SERIAL: not_tried}),
-    scene("UART", but(NULL, shown=lambda _: {"ActiveState": "active"}), "failure UART: /dev/null has … a login",
+    Scene("SPI lists", here({"cs_gpios": None}, spi=LENGTH), "ok SPI lists: the controller reads each"),
+    Scene("SPI lists", here(), "warning SPI lists: it is unknown whether this driver"),
+    Scene("framing", here(), "warning framing: plain, … with it the published STM32 firmware hangs"),
+    Scene("framing", here(spi=LENGTH), "ok framing: length-prefixed, as "),
+    Scene("framing", here(wire={"name": "elkapod-2025"})),
+    Scene("SPI lists", here(wire={"name": "elkapod-2025"})),
+    Scene("UART", here()),
+    Scene("UART", uart("/none/ttyAMA1"), ": No such file or directory → switch it on and reboot: sudo"),
+    Scene("UART", uart("/bin/sh"), "failure UART: /bin/sh is no device node"),
+    Scene("UART", NULL, "failure UART: the UART /dev/null cannot be opened"),
+    Scene("UART", served(NULL), "→ sudo chgrp dialout /dev/null", patch=DENIED),
+    Scene("UART", console("tty1 null"), "failure UART: /dev/null has Linux's console", patch={SERIAL: not_tried}),
+    Scene("UART", but(NULL, shown=lambda _: {"ActiveState": "active"}), "failure UART: /dev/null has … a login",
           patch={SERIAL: not_tried}),
-    scene("UART", but(NULL, gateway_runs=True), "ok UART: … is the running gateway's", patch={SERIAL: not_tried}),
-    scene("UART", console("tty1"), "ok UART: /dev/null opens", patch={SERIAL: lambda _: Opened()}),
-    scene("UART", NULL, "failure UART: /dev/null is held by another program", patch={SERIAL: BUSY}),
-    scene("UART", served(uart("/dev/full")), "warning UART: /dev/full opens, but the unit lets the service open "
+    Scene("UART", but(NULL, gateway_runs=True), "ok UART: … is the running gateway's", patch={SERIAL: not_tried}),
+    Scene("UART", console("tty1"), "ok UART: /dev/null opens", patch={SERIAL: lambda _: Opened()}),
+    Scene("UART", NULL, "failure UART: /dev/null is held by another program", patch={SERIAL: BUSY}),
+    Scene("UART", served(uart("/dev/full")), "warning UART: /dev/full opens, but the unit lets the service open "
           "ttyAMA… only → sudo systemctl edit hexapod-gateway, with [Service] DeviceAllow=char-full rw",
           patch={SERIAL: lambda _: Opened()}),
-    scene("calibration", here(), "ok calibration: is kept in memory only"),
-    scene("calibration", kept(RobotCalibration()), "ok calibration: revision 0, servos that differ: 0 ("),
-    scene("calibration", kept(RobotCalibration(3, {11: ServoMapping(5_00)})), "revision 3, servos that differ: 1 ("),
-    scene("calibration", kept("trim = 7\n"), "failure … version is None; this gateway reads 1; nothing can be started "
+    Scene("calibration", here(), "ok calibration: is kept in memory only"),
+    Scene("calibration", kept(RobotCalibration()), "ok calibration: revision 0, servos that differ: 0 ("),
+    Scene("calibration", kept(RobotCalibration(3, {11: ServoMapping(5_00)})), "revision 3, servos that differ: 1 ("),
+    Scene("calibration", kept("trim = 7\n"), "failure … version is None; this gateway reads 1; nothing can be started "
           "→ … hexapod-gateway calibrate accept-default"),
-    scene("calibration", kept("trim = 7\n"), "warning … you may not read /", patch=DENIED),
-    scene("power board", here()),
-    scene("power board", here(power={"interface": "slcan", "channel": "/none"}), "/none: No such file … → plug"),
-    scene("power board", served(SLCAN), "→ sudo chgrp dialout /dev/null", patch=DENIED),
-    scene("power board", interface(None), "failure power board: can7 is no CAN interface"),
-    scene("power board", interface(ETHERNET, 1), "failure power board: can7 is no CAN interface"),
-    scene("power board", interface(CAN, 0x40080), "can7 is switched off → … sudo tee /etc/systemd/network/80-can7"),
-    scene("power board", interface(CAN, 0x40081), "failure power board: … cannot be opened"),
-    scene("power board", here(power={"interface": "sim"}), "warning power board: is simulated"),
-    scene("power board", SLCAN, "failure power board: e → see dmesg", patch={BUS: raises(GatewayError("e"))}),
-    scene("power board", SLCAN, "ok power board: /dev/null opens … whether the board answers",
+    Scene("calibration", kept("trim = 7\n"), "warning … you may not read /", patch=DENIED),
+    Scene("power board", here()),
+    Scene("power board", here(power={"interface": "slcan", "channel": "/none"}), "/none: No such file … → plug"),
+    Scene("power board", served(SLCAN), "→ sudo chgrp dialout /dev/null", patch=DENIED),
+    Scene("power board", interface(None), "failure power board: can7 is no CAN interface"),
+    Scene("power board", interface(ETHERNET, 1), "failure power board: can7 is no CAN interface"),
+    Scene("power board", interface(CAN, 0x40080), "can7 is switched off → … sudo tee /etc/systemd/network/80-can7"),
+    Scene("power board", interface(CAN, 0x40081), "failure power board: … cannot be opened"),
+    Scene("power board", here(power={"interface": "sim"}), "warning power board: is simulated"),
+    Scene("power board", SLCAN, "failure power board: e → see dmesg", patch={BUS: raises(GatewayError("e"))}),
+    Scene("power board", SLCAN, "ok power board: /dev/null opens … whether the board answers",
           patch={BUS: lambda _: Opened()}),
-    scene("power board", but(SLCAN, gateway_runs=True), "ok power board: … is the running", patch={BUS: not_tried}),
+    Scene("power board", but(SLCAN, gateway_runs=True), "ok power board: … is the running", patch={BUS: not_tried}),
     dated(61, "ok certificates: … gateway.pem is good until"),
     dated(59, f"warning … gateway.pem expires on … in 59 days → {RENEW}"),
     dated(1, f"warning … in 1 day → {RENEW}"),
     dated(-1, f"failure … gateway.pem expired on … {RENEW}"),
     dated(490, "failure … gateway.pem is valid only from … set the clock (timedatectl)"),
-    scene("certificates", here()),
-    scene("certificates", brought(), *GOOD),
-    scene("certificates", brought("gateway.pem"), *GOOD,
+    Scene("certificates", here()),
+    Scene("certificates", brought(), *GOOD),
+    Scene("certificates", brought("gateway.pem"), *GOOD,
           "failure certificates: … own, gateway.pem is of another authority than … "
           "sudo hexapod-gateway setup --certs FOLDER"),
-    scene("certificates", brought("gateway.key"), *GOOD, "failure … gateway.key is not the key of … gateway.pem: no"),
-    scene("certificates", brought("gateway.pem", "gateway.key", of="anna"), *GOOD,
+    Scene("certificates", brought("gateway.key"), *GOOD, "failure … gateway.key is not the key of … gateway.pem: no"),
+    Scene("certificates", brought("gateway.pem", "gateway.key", of="anna"), *GOOD,
           "gateway.pem is of operator, not of a robot"),
-    scene("revoked", here()),
-    scene("revoked", brought(), "ok revoked: list 1 of … shuts out 1"),
-    scene("revoked", brought("revoked.crl", damaged=True), "failure … /state/revoked.crl: this is no list of … FILE /",
+    Scene("revoked", here()),
+    Scene("revoked", brought(), "ok revoked: list 1 of … shuts out 1"),
+    Scene("revoked", brought("revoked.crl", damaged=True), "failure … /state/revoked.crl: this is no list of … FILE /",
           "warning revoked: … own/revoked.crl is of another authority, so it shuts nobody out → copy revoked.crl"),
-    scene("Zenoh", here(), "ok Zenoh: its configuration is these settings alone"),
-    scene("Zenoh", here(zenoh={"config": "/none.json5"}), "failure Zenoh: … /none.json5 … → fix it there"),
-    scene("Zenoh", here(zenoh={"listen": ["tcp/0.0.0.0:7447"]}), "failure Zenoh … → fix it there"),
-    scene("Zenoh", here(), "failure Zenoh: x: Permission denied → let the service … setup",
+    Scene("Zenoh", here(), "ok Zenoh: its configuration is these settings alone"),
+    Scene("Zenoh", here(zenoh={"config": "/none.json5"}), "failure Zenoh: … /none.json5 … → fix it there"),
+    Scene("Zenoh", here(zenoh={"listen": ["tcp/0.0.0.0:7447"]}), "failure Zenoh … → fix it there"),
+    Scene("Zenoh", here(), "failure Zenoh: x: Permission denied → let the service … setup",
           patch={"gateway.onboard.check.security.service_config": raises(ConfigError("x: Permission denied"))}),
-    scene("Zenoh", listens("tcp/0.0.0.0:7447"), "warning Zenoh: … anyone who reaches tcp/0.0.0.0:7447 can move"),
-    scene("port", lambda root: robot(root, zenoh={"listen": [], "config": dialling(root, "tcp/127.0.0.1:1")}),
+    Scene("Zenoh", listens("tcp/0.0.0.0:7447"), "warning Zenoh: … anyone who reaches tcp/0.0.0.0:7447 can move"),
+    Scene("port", lambda root: robot(root, zenoh={"listen": [], "config": dialling(root, "tcp/127.0.0.1:1")}),
           "ok port: none: the gateway does not listen"),
-    scene("port", listens("tcp/192.0.2.1:7447", "tcp/h:99999"),
+    Scene("port", listens("tcp/192.0.2.1:7447", "tcp/h:99999"),
           "warning port: tcp/192.0.2.1:7447 is not there yet (Cannot assign requested address): the service keeps",
           "failure port: tcp/h:99999 cannot be listened on: ports end at 65535 → set another zenoh.listen"),
-    scene("access control", access(str), "ok access control: lets all"),
-    scene("access control", access(lambda text: text.replace(f', "{CALIBRATION}"', "")), "warning access control … "
+    Scene("access control", access(str), "ok access control: lets all"),
+    Scene("access control", access(lambda text: text.replace(f', "{CALIBRATION}"', "")), "warning access control … "
           "drops messages: watching, telemetry, asking for reports, reports as an answer → sudo hexapod-gateway "
           "setup"),
-    scene("access control", access(lambda text: text.replace('["commands",', "[")), "drops messages: commands →"),
-    scene("access control", access(lambda text: text.replace('"put", "delete", "query"]', '"put", "query"]', 1)),
+    Scene("access control", access(lambda text: text.replace('["commands",', "[")), "drops messages: commands →"),
+    Scene("access control", access(lambda text: text.replace('"put", "delete", "query"]', '"put", "query"]', 1)),
           "silently drops messages: commands →"),
-    scene("access control", access(lambda text: re.sub(r'"id": "|\["', lambda found: f"{found[0]}my ", text))),
-    scene("access control", access(lambda text: text.replace("access_control: {\n    enabled: true", "access_control: "
+    Scene("access control", access(lambda text: re.sub(r'"id": "|\["', lambda found: f"{found[0]}my ", text))),
+    Scene("access control", access(lambda text: text.replace("access_control: {\n    enabled: true", "access_control: "
                                                              "{\n    enabled: false"))),
 )
 # fmt: on

@@ -23,6 +23,7 @@ from gateway.onboard.setup.boot import overlay_is_on, spi_is_on, with_line
 from gateway.onboard.setup.configuration import with_value
 from gateway.onboard.setup.machine import Machine
 from gateway.people.commands import certs as commands
+from tests.support.certs_folder import contents
 
 TOML = "/etc/hexapod-gateway/gateway.toml"
 TEMPLATE = Path(__file__).parents[3] / "deploy/gateway.toml"
@@ -90,10 +91,6 @@ class Computer:
     def read(self, path: str) -> str:
         return (self.root / path.lstrip("/")).read_text()
 
-    def files(self) -> dict[str, bytes]:
-        """Everything below the folder."""
-        return {str(each.relative_to(self.root)): each.read_bytes() for each in self.root.rglob("*") if each.is_file()}
-
     def says(self, *, dry: bool = False, force: bool = False, **wanted: Any) -> list[str]:
         """The lines that `setup` prints, which ends with 0."""
         machine = _Checked(self.root, self.systemd, lambda: self.busy, dry=dry, force=force)
@@ -159,9 +156,9 @@ def test_spi_is_on_or_is_switched_on_for_every_pi(config: str, is_on: bool) -> N
 def test_a_new_pi(computer: Computer) -> None:
     """A dry run states the same changes and makes none; a second run has nothing to change."""
     computer.write(CONFIG_TXT, STOCK)
-    before = computer.files()
+    before = contents(computer.root)
     promised = computer.says(dry=True, framing="plain")
-    assert (computer.files(), computer.systemd.calls) == (before, [])
+    assert (contents(computer.root), computer.systemd.calls) == (before, [])
     done = computer.says(framing="plain")
     assert done[:-1] == promised[:-1]
     assert done == [
@@ -173,14 +170,14 @@ def test_a_new_pi(computer: Computer) -> None:
     ]
     assert computer.read(TOML) == TEMPLATE.read_text().replace('# framing = "plain"', 'framing = "plain"')
     assert spi_is_on(computer.read(CONFIG_TXT))
-    changed = computer.files()
+    changed = contents(computer.root)
     assert computer.says() == [
         f'{TOML} states spi.framing = "plain"',
         f"/dev/spidev0.0 is on in {CONFIG_TXT}, but is not there: a reboot is due",
         "the service starts with the reboot",
         "Next: sudo reboot; then: sudo hexapod-gateway check",
     ]
-    assert computer.files() == changed
+    assert contents(computer.root) == changed
 
 
 @pytest.mark.parametrize(
@@ -206,10 +203,10 @@ def test_while_a_servo_runs_nothing_changes(computer: Computer) -> None:
     computer.write("/dev/spidev0.0", "")
     computer.systemd.unit("hexapod-gateway", ActiveState="active", UnitFileState="enabled")
     computer.busy = "a servo runs"
-    before = computer.files()
+    before = contents(computer.root)
     with pytest.raises(GatewayError, match="a servo runs, and a restart would stop it: stop the robot"):
         computer.says(framing="plain")
-    assert computer.files() == before
+    assert contents(computer.root) == before
     computer.says(framing="plain", force=True)
     assert computer.systemd.calls[-1] == "restart hexapod-gateway"
     computer.says(framing="plain")  # there is nothing to restart it for
@@ -367,10 +364,10 @@ def test_others_certificates_are_rejected_before_anything_changes(
         found = people / source
         shutil.copy(found / name if found.is_dir() else found, given / name)
     computer.says(framing="plain")
-    before = computer.files()
+    before = contents(computer.root)
     with pytest.raises(ConfigError, match=fault):
         computer.says(certs=given)
-    assert computer.files() == before
+    assert contents(computer.root) == before
 
 
 def test_an_unedited_zenoh_file_gets_new_access_rules(computer: Computer, people: Path) -> None:
