@@ -31,7 +31,6 @@ from tests.support.waiting import wait_until
 
 pytestmark = pytest.mark.hil
 
-WATCHDOG: dict[str, Any] = {"timeout_ms": 10_000}
 ROUNDS = 4
 """Of each Stop: one, and the repeats."""
 POSE = {leg: (80.0 + leg, 100.0 + leg, 120.0 + leg) for leg in LEGS}
@@ -102,7 +101,7 @@ def robot(tmp_path: Path) -> Iterator[ElkapodBed]:
 
 @pytest.fixture
 def gateway(robot: ElkapodBed, tmp_path: Path) -> Iterator[Gateway]:
-    with Gateway(tmp_path, robot.settings_with(watchdog=WATCHDOG), bed=robot) as gateway:
+    with Gateway(tmp_path, robot.settings_with(watchdog={"timeout_ms": 10_000}), bed=robot) as gateway:
         yield gateway
 
 

@@ -7,7 +7,7 @@ An operator has `mutation_positions(node)` and `mutate(node, index)` on parso's 
 import ast
 import re
 from collections.abc import Callable, Iterator
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple
 
 from cosmic_ray.operators.provider import OperatorProvider
 from parso.python.tree import Keyword, Newline, Number
@@ -20,16 +20,8 @@ SCALED_FROM: Final = 256
 """A time, a size or a rate that large is doubled and halved: one more of its units is nothing that a test could see."""
 
 
-class Operator(Protocol):
-    def mutation_positions(self, node: NodeOrLeaf) -> Iterator[Span]:
-        """Where it can be made in this node; the same place twice, where it can be made there in two ways."""
-
-    def mutate(self, node: NodeOrLeaf, index: int) -> NodeOrLeaf:
-        """The node with this fault, which may be the same object."""
-
-
 class Ours(NamedTuple):
-    """An operator of our own."""
+    """An operator of our own: a place comes twice where it can be made there in two ways."""
 
     ways: Callable[[Any], int]
     """In how many ways it can be made in a node."""
@@ -162,7 +154,7 @@ _NAMES: Final = (
 and say nothing else (whoever notices `-` for `+` notices `**`, too)."""
 
 _STEPS: Final = OperatorProvider()["NumberReplacer"]()
-_OURS: Final[dict[str, Operator]] = {
+_OURS: Final[dict[str, Any]] = {
     "CatchNothing": Ours(lambda node: node.type == "except_clause", _catch_nothing),
     "Flip": Ours(lambda node: len(_flags(node)), _flip),
     "Forget": Ours(lambda node: node.type == "simple_stmt" and _has_effect(node.children[0]), _forget),
@@ -176,6 +168,6 @@ _OURS: Final[dict[str, Operator]] = {
 }
 
 
-def operators() -> dict[str, Operator]:
+def operators() -> dict[str, Any]:
     provider = OperatorProvider()
     return {name: provider[name]() for name in _NAMES} | _OURS

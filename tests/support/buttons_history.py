@@ -2,13 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Self
 
 from gateway.allowance import NS_PER_MS
 from gateway.robot.core.events import ButtonRequest, Effect
 from gateway.robot.core.leg import Rules
 from schemas.telemetry import Kind, Reason
-from tests.support.history import announced, cloned, demand, judge_answer
+from tests.support.history import announced, demand, judge_answer
 
 MOST_OF_ONE = 4
 MOST_UNPROVED = 16
@@ -43,10 +42,6 @@ class ButtonsHistory:
         self.old_token: str | None = None
         """The latest that is not good any more."""
         self.fell_ns: int | None = None
-
-    def clone(self) -> Self:
-        """A copy."""
-        return cloned(self, known=dict(self.known))
 
     def key(self, now_ns: int) -> tuple[object, ...]:
         """What of it still matters; one token is as good as another, and so is a count."""

@@ -164,7 +164,7 @@ class RobotHistory:
             landing=self.landing and cloned(self.landing, parts_ns=dict(self.landing.parts_ns)),
             lease=cloned(self.lease),
             calibration=cloned(self.calibration),
-            buttons=self.buttons.clone(),
+            buttons=cloned(self.buttons, known=dict(self.buttons.known)),
             body=cloned(self.body),
             power=cloned(self.power),
             backlog=self.backlog.clone(),
