@@ -21,8 +21,7 @@ RECONFIGURE = f"sudo dpkg-reconfigure {NAME}"
 def installed(tmp_path_factory: pytest.TempPathFactory, packages: Packages) -> Iterator[Robot]:
     """One robot for all tests of this file, with release 1.1.0."""
     with Box(tmp_path_factory.mktemp("robot")) as box:
-        said = install(box, packages.make("1.1.0"))
-        assert "hexapod-gateway: Next: sudo hexapod-gateway setup\n" in said, said
+        install(box, packages.make("1.1.0"))
         with Robot(box) as robot:
             yield robot
 

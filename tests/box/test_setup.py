@@ -26,12 +26,8 @@ def test_from_the_package_to_a_robot_with_certificates_and_back(tmp_path: Path, 
         box.write(CONFIG_TXT, "#dtparam=spi=on\n")
         install(box, packages.make("1.1.0"))
         unit = Unit(box, f"{NAME}.service")
-        promised = setup(box, "--framing", "plain", "--dry-run")
-        assert unit.properties("UnitFileState", "ActiveState") == ["disabled", "inactive"]
         done = setup(box, "--framing", "plain", check=True)
-        assert done[:-1] == promised[:-1]
         assert done[-1] == "Next: sudo reboot; then: sudo hexapod-gateway check"
-        assert box.read(CONFIG_TXT).startswith("#dtparam=spi=on\n[all]\ndtoverlay=\ndtparam=spi=on\n")
         assert unit.properties("UnitFileState", "ActiveState") == ["enabled", "inactive"]
         assert box.run("stat", "--format=%A %U:%G", CONFIGURATION).stdout == f"-rw-r----- root:{NAME}\n"
 
