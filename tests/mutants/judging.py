@@ -190,7 +190,6 @@ class _Tests:
     pipe: int
     """For the name of the test that fails."""
 
-    @pytest.hookimpl
     def pytest_runtest_logstart(self) -> None:
         """A test begins; one that waits for ever ends all."""
         signal.setitimer(signal.ITIMER_REAL, TEST_MAY_TAKE_S)
@@ -202,7 +201,6 @@ class _Tests:
         settings.register_profile("mutants", settings(), derandomize=True, database=None, phases=phases)
         settings.load_profile("mutants")
 
-    @pytest.hookimpl
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """A test has failed, or its preparation."""
         if report.failed:
@@ -296,13 +294,11 @@ class _Loaded(_Tests):
         _tell(self.report, order=list(dict.fromkeys([*self.killers, *quick_first])))
         return True
 
-    @pytest.hookimpl
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """A part of a test has ended: its preparation, itself, or the tidying after it."""
         _Tests.pytest_runtest_logreport(self, report)
         self.took_s += report.duration
 
-    @pytest.hookimpl
     def pytest_runtest_logfinish(self, nodeid: str) -> None:
         if self.noted is not None:
             os.write(self.noted, f"{json.dumps([nodeid, self.took_s, sorted(self.now)])}\n".encode())

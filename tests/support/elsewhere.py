@@ -50,9 +50,7 @@ FOLDERS: Final = ("/proc", "/sys", "/run", "/etc")
 def forget() -> None:
     """Take away what only Linux or POSIX has, once the standard library has what it needs of it."""
     _keep_for_the_library()
-    for name in MODULES:
-        sys.modules.pop(name, None)
-    sys.meta_path[:] = [_Without(finder) for finder in sys.meta_path]
+    sys.modules.update(dict.fromkeys(MODULES))  # None: it is not found
     sys.modules["msvcrt"] = _Msvcrt("msvcrt")
     lacks: list[tuple[Any, list[str]]] = [
         (signal, SIGNALS), (os, SYSTEM), (socket, SOCKETS + TCP), (time, CLOCKS), (select, POLLS)
@@ -90,19 +88,6 @@ def os_open(own: Callable[..., Any]) -> Callable[..., Any]:
         return own(path, *arguments, **named)
 
     return opened
-
-
-class _Without:
-    """A finder of modules that does not find those."""
-
-    def __init__(self, own: Any) -> None:
-        self._own = own
-
-    def find_spec(self, name: str, path: Any = None, target: Any = None) -> Any:
-        return None if name in MODULES else self._own.find_spec(name, path, target)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._own, name)
 
 
 class _Msvcrt(ModuleType):

@@ -1,7 +1,7 @@
 """A walking engine under test: after each of its ticks, what must hold on every one is checked."""
 
 import math
-from copy import copy
+from copy import deepcopy
 from functools import cache
 from itertools import pairwise
 from typing import Final
@@ -75,12 +75,7 @@ class Walked:
 
     def copy(self) -> "Walked":
         """Another one that goes on by itself from here."""
-        new, engine = copy(self), copy(self.engine)
-        engine.state, engine._wanted = engine.state.copy(), engine._wanted.copy()
-        engine._senses = copy(engine._senses)
-        engine._senses._seen = dict(engine._senses._seen)
-        new.engine = engine
-        return new
+        return deepcopy(self, {id(self.robot): self.robot})
 
     def _on_the_floor(self, leg: int) -> tuple[float, float]:
         """Where a foot is on a floor that does not move with the robot."""

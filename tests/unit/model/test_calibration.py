@@ -15,9 +15,10 @@ from gateway.model.calibration import (
     changed,
     report_of,
 )
-from gateway.model.frames import MAX_ANGLE_CDEG, STOP, Frame, OneLeg, OneServo, Op, ServoOp, decode
+from gateway.model.frames import MAX_ANGLE_CDEG, STOP, Frame, decode
 from schemas.calibration import CalibrationCommand, ServoCalibration
-from schemas.robot import LEGS, SERVO_IDS
+from schemas.robot import SERVO_IDS
+from tests.unit.model.test_frames import frames
 
 angles = st.integers(0, MAX_ANGLE_CDEG)
 trims = st.integers(-90_00, 90_00)
@@ -31,10 +32,6 @@ def servo_calibrations(draw: st.DrawFn) -> ServoMapping:
 
 calibrations = st.builds(
     RobotCalibration, st.just(1), st.dictionaries(st.sampled_from(SERVO_IDS), servo_calibrations())
-)
-ops = st.builds(ServoOp, st.sampled_from((Op.START, Op.SET)), angles) | st.just(STOP)
-frames: st.SearchStrategy[Frame] = st.builds(OneServo, st.sampled_from(SERVO_IDS), ops) | st.builds(
-    OneLeg, st.sampled_from(LEGS), st.tuples(ops, ops, ops)
 )
 
 
