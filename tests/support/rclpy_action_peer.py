@@ -6,8 +6,7 @@ import threading
 from importlib import import_module
 from typing import Any
 
-from tests.support.acting import act
-from tests.support.rclpy_peer import ANSWER_S, DOMAIN, RclpyPeer
+from tests.support.rclpy_peer import ANSWER_S, DOMAIN, RclpyPeer, act
 from tests.support.rclpy_peer import Actor as RclpyActor
 
 NAME = "/hexapod/follow_joint_trajectory"

@@ -1,7 +1,7 @@
 """A ROS 2 peer that is not ours: rclpy over FastDDS in a process of its own, which takes its tasks over stdin.
 
-A JSON list a line, [name, arguments, named ones], a JSON value back; messages are pickled. It ends as a peer that
-vanishes does.
+A line is a JSON list, [name, arguments, named arguments]; it is answered by one: {"ok": value} or {"error": words}.
+Messages are pickled. It ends as a peer that vanishes does.
 Nothing of it leaves this machine, and each run of the tests has a domain of its own.
 """
 
@@ -23,7 +23,6 @@ from typing import Any, Final
 import pytest
 
 from gateway.people.ros2.messages import Message
-from tests.support import acting
 from tests.support.bridged import READY, clean, rejections
 from tests.support.child import Child
 from tests.support.closing import Closing
@@ -31,6 +30,7 @@ from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.ros2_messages import plain
 from tests.support.waiting import wait_until
 
+PEER_READY: Final = "the peer is ready"
 TRIGGER: Final = "std_srvs/srv/Trigger"
 ANSWER_S: Final = 40.0
 """Sitting down takes a while on a busy machine."""
@@ -59,7 +59,7 @@ class RclpyPeer(Closing):
         _remove_half_made()
         own = {**clean(), "PYTHONPATH": str(ROOT), **ENV, **env}
         self.child = Child([PYTHON, "-m", module, str(domain)], own)
-        self.child.wait_for_output(acting.READY)
+        self.child.wait_for_output(PEER_READY)
 
     def close(self) -> None:
         self.child.close()
@@ -234,5 +234,17 @@ def _ros_type(type_name: str) -> Any:
     return getattr(import_module(f"{package}.{kind}"), name)
 
 
+def act(actor: object) -> None:
+    """Do what stdin says, until it ends."""
+    print(PEER_READY, flush=True)
+    for line in sys.stdin:
+        name, arguments, named = json.loads(line)
+        try:
+            answer = {"ok": getattr(actor, name)(*arguments, **named)}
+        except Exception as error:
+            answer = {"error": f"{type(error).__name__}: {error}"}
+        print(json.dumps(answer), flush=True)
+
+
 if __name__ == "__main__":
-    acting.act(Actor(int(sys.argv[1])))
+    act(Actor(int(sys.argv[1])))
