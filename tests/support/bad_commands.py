@@ -21,7 +21,6 @@ SERVO_FAULTS: list[tuple[object, str]] = [
     ({}, "op: Field required"),
     ({"op": "STOP"}, "op: Input should be one of 'start', 'set', 'stop'"),
     # angle_deg
-    ({"op": "start"}, "angle_deg: Field required"),
     ({"op": "start", "angle": 90}, "angle_deg: Field required (and 1 more)"),
     (ANGLE % "null", "angle_deg: Input should be a valid number"),
     (ANGLE % "NaN", "angle_deg: Input should be a finite number"),
@@ -42,21 +41,15 @@ SERVO_FAULTS: list[tuple[object, str]] = [
     (STOP | {"sent_ms": -1}, "sent_ms: Input should be greater than or equal to 0"),
     # the same name twice
     ('{"op": "start", "op": "stop"}', f"op {GIVEN_TWICE}"),
-    ('{"op": "set", "angle_deg": 1, "angle_deg": 2}', f"angle_deg {GIVEN_TWICE}"),
     ('{"op": "set", "angle_deg": 1, "angle\\u005fdeg": 2}', f"angle_deg {GIVEN_TWICE}"),
 ]
 LEG_FAULTS: list[tuple[object, str]] = [
-    ({}, "servos: Field required"),
     ({"servos": []}, "servos[0]: Field required (and 2 more)"),
-    ({"servos": [STOP, STOP]}, "servos[2]: Field required"),
     ({"servos": [STOP] * 4}, "servos: Array should have at most 3 items, not 4"),
-    (leg_with(None), "servos[2]: Input should be an object"),
     (leg_with({"op": "go"}), "servos[2].op: Input should be one of 'start', 'set', 'stop'"),
     (leg_with({"op": "set"}), "servos[2].angle_deg: Field required"),
-    (leg_with(STOP | {"angle_deg": 1}), "servos[2].angle_deg: Extra inputs are not permitted"),
     (LEG | {"angle_deg": 1}, "angle_deg: Extra inputs are not permitted"),
     (STOP, "servos: Field required (and 1 more)"),
-    ('{"servos": [{"op": "stop", "op": "stop"}, {"op": "stop"}, {"op": "stop"}]}', f"op {GIVEN_TWICE}"),
 ]
 LEGS_FAULTS: list[tuple[object, str]] = [
     ({}, "legs: Field required"),
@@ -66,32 +59,21 @@ LEGS_FAULTS: list[tuple[object, str]] = [
         {"legs": {"q" * 3000: LEG}},
         "legs.qqqqqqqqqqqqqqqqqqqqqqqqqqqqqqqqqqqqqqqq: Input should be '1', '2', '3', '4', '5' or '6'",
     ),
-    ({"legs": {"1": LEG, "x\n": LEG}}, "legs.x\\n: Input should be '1', '2', '3', '4', '5' or '6'"),
-    ({"legs": {"1": {}}}, "legs.1.servos: Field required"),
     ({"legs": {"1": LEG, "4": leg_with(7)}}, "legs.4.servos[2]: Input should be an object"),
     (
         {"legs": {"4": leg_with({"op": "set", "angle_deg": -1})}},
         "legs.4.servos[2].angle_deg: Input should be greater than or equal to 0",
     ),
-    (
-        {"legs": {str(n): 1 for n in range(10, 90)}},
-        "legs.10: Input should be '1', '2', '3', '4', '5' or '6' (and 159 more)",
-    ),
     ({"legs": {str(n): 1 for n in range(10, 400)}}, "the payload has more fields than any command of its key has"),
-    (f'{{"legs": {{}}, "legs": {{"1": {json.dumps(LEG)}}}}}', f"legs {GIVEN_TWICE}"),
     (f'{{"legs": {{"1": {json.dumps(LEG)}, "1": {json.dumps(leg_with(STOP))}}}}}', f"1 {GIVEN_TWICE}"),
 ]
 RESET_FAULTS: list[tuple[object, str]] = [
-    ({"force": True}, "force: Extra inputs are not permitted"),
     ({"estop": -1}, "estop: Input should be greater than or equal to 0"),
     ({"estop": "1"}, "estop: Input should be a valid integer"),
     ({"estop": 1, "lease": "0" * 31}, "lease: String should have at least 32 characters"),
     ({"estop": 1, "lease": "F" * 32}, "lease: String should match pattern '^[0-9a-f]{32}$'"),
     ({"lesae": "ab" * 16}, "lesae: Extra inputs are not permitted"),
     ({"ab" * 16: 1}, "(hex digits): Extra inputs are not permitted"),
-    ([{"lease": "ab" * 16}], "the payload: Input should be an object"),
-    ({"estop": "ab" * 16}, "estop: Input should be a valid integer"),
-    (f'{{"lease": "{"ab" * 16}", "lease": "{"cd" * 16}"}}', f"lease {GIVEN_TWICE}"),
     ('{"estop": 1, "estop": 2}', f"estop {GIVEN_TWICE}"),
 ]
 FAULTS: list[tuple[CommandKey, object, str]] = [

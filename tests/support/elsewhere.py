@@ -50,7 +50,8 @@ FOLDERS: Final = ("/proc", "/sys", "/run", "/etc")
 def forget() -> None:
     """Take away what only Linux or POSIX has, once the standard library has what it needs of it."""
     _keep_for_the_library()
-    sys.modules.update(dict.fromkeys(MODULES))  # None: it is not found
+    for name in MODULES:
+        sys.modules[name] = None  # type: ignore[assignment]  # it is not found
     sys.modules["msvcrt"] = _Msvcrt("msvcrt")
     lacks: list[tuple[Any, list[str]]] = [
         (signal, SIGNALS), (os, SYSTEM), (socket, SOCKETS + TCP), (time, CLOCKS), (select, POLLS)

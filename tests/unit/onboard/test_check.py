@@ -89,6 +89,10 @@ class Installed(CheckedRobot):
         for source, target in (("ca.key", name), ("ca.pem", "ca.pem")):
             self.write(f"etc/hexapod-gateway/zenoh/{target}", (self.root / "C" / source).read_text(), 0o640)
 
+    def file_for_folder(self) -> None:
+        (self.root / STATE).rmdir()
+        self.write(STATE)
+
     def mask(self) -> None:
         (self.root / "run/systemd/system/hexapod-gateway.service").symlink_to("/dev/null")
         self.show(LoadState="masked")
@@ -129,7 +133,7 @@ PLANTED: tuple[tuple[Plant, str], ...] = (
     (lambda robot: robot.drop_in("ExecStopPost=\nExecStopPost=/opt/x \\\n  stop-servos"), "depend on: ExecStopPost"),
     (lambda robot: robot.runs("A=1\0HEXAPOD_SPI__FRAMING=plain\0"), "HEXAPOD_SPI__FRAMING is in the service's env"),
     (lambda robot: robot.runs("PYTHONPATH=/x\0"), "PYTHONPATH is in the service's environment"),
-    (lambda robot: (robot.path(STATE).rmdir(), robot.write(STATE)), "is no folder"),
+    (lambda robot: robot.file_for_folder(), "is no folder"),
     (lambda robot: robot.path(STATE).chmod(0o500), f"may not read and write /{STATE}"),
     (lambda robot: robot.write(f"{STATE}/a", mode=0o400), f"may not read and write /{STATE}/a"),
     (lambda robot: robot.write("etc/hexapod-gateway/a.key", mode=0o604), "not only root and the service may read"),
