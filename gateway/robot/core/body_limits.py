@@ -27,6 +27,7 @@ class BodyLimits(Interlock[BodyMeasured]):
 
     takes = (BodyMeasured,)
 
+    # mutants accepted (Gt_GtE, Step): a step too many does nothing
     def __init__(self, rules: Rules, legs: Legs) -> None:
         super().__init__(rules, legs)
         self.watches = rules.min_battery_mv > 0 or rules.max_tilt_cdeg > 0

@@ -48,6 +48,7 @@ _FIELDS: Final = {len(SERVO_IDS): "legs", len(JOINTS): "servos"}
 _NUMBERS: Final = {str(leg): servo_ids_of(leg) for leg in LEGS}
 
 
+# mutants accepted (Step): one servo stands for what names none
 def _stopped_by(part: object, servo_ids: tuple[int, ...]) -> tuple[int, ...]:
     """Return those of these servos that a part of a payload may stop: all, unless it has a place for each of them."""
     if "stop" not in json.dumps(part, ensure_ascii=False).casefold():

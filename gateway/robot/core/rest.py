@@ -11,7 +11,7 @@ from gateway.robot.core.leg import Rules
 class RestStops:
     """The next round or run of Stops, and how many runs are left."""
 
-    def __init__(self, rules: Rules) -> None:  # mutants accepted (Forget, Step): the first Stop sets both
+    def __init__(self, rules: Rules) -> None:  # mutants accepted (Step): the first Stop sets both
         self._rules = rules
         self._settled_ns = 0
         """When runs begin to count, after the last Stop and its repeats."""

@@ -96,6 +96,13 @@ SCENES: Final = {
         20 board → nothing
         30 leg 3 start 90 → nothing
         40 board → command 3 start 90; completed 2""",
+    "where one silent leg stops all six, so does one servo that is not fed any more": """
+        rules power=True, whole_robot=True
+        5 board
+        10 leg 3 start 90
+        10 board
+        20 board → nothing
+        30 board (lost 32) → watchdog 1-6 stop""",
     # The start that nobody fed ends in the step in which the board falls silent.
     "nothing lands where the last servo was stopped in the same step": """
         rules power=True, landing_ms=500, timeout_ms=5000

@@ -175,6 +175,11 @@ NAMED: list[tuple[str, object, str]] = [
     (LEG_3, b'{"servos": [{"op": "st\\u006fp"}, {"op": "set"}, {}]}', "31"),
     (LEG_3, b'{"servos": [{"op": "st\\x6fp"}, {"op": "set"}, {}]}', "31 32 33"),
     (keys.LEGS_COMMAND, {"legs": {"3": {"servos": [ODD] * 3}, "5": {"servos": [SET, ODD, SET]}}}, "31 32 33 52"),
+    (
+        keys.LEGS_COMMAND,
+        {"legs": {number: ODD if number == "3" else {"servos": [SET] * 3} for number in "123456"}},
+        "31 32 33",
+    ),
     (keys.LEGS_COMMAND, {"legs": {"3": ODD, "5": {"servos": [SET] * 3}}}, "31 32 33"),
     (keys.LEGS_COMMAND, {"legs": {"7": ODD}}, "all"),
     (keys.LEGS_COMMAND, {"servos": [STOP] * 3}, "all"),

@@ -167,12 +167,14 @@ SCENES: Final = {
         due never""",
     "starts and sets are rejected until stop-servos has ended and stops are taken": """
         100 outside begins
+        105 outside begins → repeat 1-6 stop  # announced once
         110 leg 1 start 90 → rejected 1 servo_stopped
         mentions once it has ended
         111 servo 11 set 90 → rejected 2 servo_stopped
         112 leg 1 stop → command 1 stop; completed 3
+        113 calibrate 32 trim 1 → rejected 4 servo_stopped
         120 outside ends → nothing
-        130 servo 11 set 90 → rejected 4 servo_stopped  # it does not run
-        131 leg 1 start 90 → command 1 start 90; completed 5""",
+        130 servo 11 set 90 → rejected 5 servo_stopped  # it does not run
+        131 leg 1 start 90 → command 1 start 90; completed 6""",
 }
 test_a_scene = scene_test(SCENES)
