@@ -84,7 +84,7 @@ JUDGES: Final = {
     "gateway/model/angle_limits.py": (*_CALIBRATION, *_robot("supervisor_speed")),
     "gateway/robot/core/calibrating.py": _CALIBRATION,
     "gateway/model/calibration.py": (*_CALIBRATION, *_robot("calibration_conductor")),
-    "gateway/robot/core/rejections.py": _robot("intake conductor conductor_safety"),
+    "gateway/robot/core/rejections.py": _robot("intake conductor conductor_safety lease_conductor"),
     "gateway/robot/core/losses.py": _robot("rejected_stops conductor_safety"),
     "gateway/robot/runtime/calibrations.py": _CALIBRATION_REQUESTS,
     "gateway/robot/runtime/executor.py": (*_CONDUCTOR, *_people("recorder"), *_robot("power_conductor conductor")),

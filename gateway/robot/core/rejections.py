@@ -2,13 +2,15 @@
 
 import json
 import re
-from typing import Final, final
+from typing import Final, final, get_args
 
 from pydantic import ValidationError
 
 from gateway.robot.core.message import value
 from gateway.text import BOM, decimal_comma, visible
-from schemas.command import MAX_PAYLOAD_BYTES
+from schemas.button import ButtonRequest
+from schemas.command import MAX_PAYLOAD_BYTES, ServoSetpoint
+from schemas.lease import LeaseRequest
 from schemas.telemetry import Reason
 
 MAX_KEY: Final = 100
@@ -17,9 +19,13 @@ _MAX_NAME: Final = 40
 """Characters of a sender's name that a rejection repeats."""
 _SECRET: Final = re.compile(r"[0-9a-fA-F]{32,}")
 """Text that may be a lease's token in the wrong field."""
-_OPS: Final = ("start", "set", "stop")
-_VERBS: Final = ("challenge", "acquire", "ask", "take", "renew", "release", "register", "alive", "leave")
-"""The kinds of commands and requests, which pydantic puts before the fields of one."""
+_KINDS: Final[frozenset[object]] = frozenset(
+    kind
+    for models, union in map(get_args, (ServoSetpoint, LeaseRequest, ButtonRequest))
+    for model in get_args(models)
+    for kind in get_args(model.model_fields[union.discriminator].annotation)
+)
+"""The kinds of commands and requests, such as "start", which pydantic puts before the fields of one."""
 _WORDS: Final = {"Tuple": "Array", "Dictionary": "Object", " after validation": ""}
 
 
@@ -74,7 +80,7 @@ def each_name_once(pairs: list[tuple[str, object]]) -> dict[str, object]:
 
 def explain(error: ValidationError) -> Rejection:
     """Return the rejection of an invalid payload, in a sentence that names the field and what it must be."""
-    first, *others = error.errors(include_url=False)
+    first, *others = error.errors()
     ctx = first.get("ctx", {})
     if first["type"] == "json_invalid":
         payload: str | bytes = first["input"]
@@ -85,7 +91,7 @@ def explain(error: ValidationError) -> Rejection:
     if "discriminator" in ctx:  # pydantic's own sentence repeats the value
         where = (*where, ctx["discriminator"].strip("'"))
         must = f"Input should be one of {ctx['expected_tags']}" if "expected_tags" in ctx else "Field required"
-    fields = [part for part in where[:-1] if part not in (*_OPS, *_VERBS)]
+    fields = [part for part in where[:-1] if part not in _KINDS]
     fields += [part for part in where[-1:] if part != "[key]"]
     path = "".join(f"[{part}]" if isinstance(part, int) else f".{_name(part)}" for part in fields).removeprefix(".")
     for word, of_json in _WORDS.items():
