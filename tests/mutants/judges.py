@@ -72,7 +72,7 @@ JUDGES: Final = {
     "gateway/robot/core/lease.py": _robot("lease lease_conductor"),
     "gateway/robot/core/buttons.py": _robot("buttons lease_conductor"),
     "gateway/robot/core/rest.py": _robot("supervisor_at_rest supervisor_stops"),
-    "gateway/robot/core/backlog.py": _robot("backlog"),
+    "gateway/robot/core/backlog.py": _robot("backlog supervisor_stops supervisor"),
     "gateway/robot/core/latch.py": _robot("supervisor_stops supervisor_faults power_rule estop_file"),
     "gateway/model/power_board.py": (*_model("power_board_bytes"), *_robot("simulated_board")),
     "gateway/robot/power/board.py": _POWER,

@@ -22,7 +22,7 @@ from gateway.robot.core.leg import BUCKET, Leg, Rules
 from gateway.robot.core.legs import Legs
 from schemas.telemetry import Reason
 
-START_WAIT_NS: Final = 15 * NS_PER_MS  # mutants accepted (Step): room on both sides
+START_WAIT_NS: Final = 15 * NS_PER_MS
 """The frame of a lone start leaves within a rate slot of 50 Hz, with 5 ms for a timer that is late."""
 
 

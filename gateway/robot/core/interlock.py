@@ -72,7 +72,7 @@ class Interlock(Generic[Own]):
 
     def take(self, event: Own, now_ns: int) -> list[Effect]:
         """Take one of its events, and return the effects."""
-        raise NotImplementedError
+        raise NotImplementedError  # mutants accepted (Forget): nobody calls it
 
     def _how_it_comes_down(self) -> str:
         """Return how the robot comes down in this step, for an event's text.

@@ -38,6 +38,14 @@ SCENES: Final = {
         101 leg 6 set 90
         102 leg 6 set 90
         103 leg 6 set 90 → rejected 3 stale; rejected 4 servo_stopped""",
+    "at 200 Hz the seventh message in 20 ms is one too many": f"""{RULES.replace("rules", "rules period_ms=5,")}
+        100 leg 6 start 90
+        101 leg 6 set 90
+        102 leg 6 set 90
+        103 leg 6 set 90
+        104 leg 6 set 90
+        105 leg 6 set 90 → completed 5 coalesced
+        106 leg 6 set 90 → rejected 6 stale; rejected 7 servo_stopped""",
     "a start that a burst of sets drops keeps no other leg waiting": f"""{STAGGERED}
         50 leg 2 start 90
         65 time

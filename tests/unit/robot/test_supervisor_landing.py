@@ -11,7 +11,7 @@ LANDS: Final = "rules landing_ms=1000, landing_cdeg={31: 3000, 42: 10000}\n 10 l
 
 
 def test_silence_lands_the_whole_robot_and_then_stops_it() -> None:
-    steps = play(f"{LANDS} 260 time → announce landing")
+    steps = play(f"{LANDS} 260 time → announce landing\n legs 123456")
     lines = steps.do(1259, "pass")
     for begin, last_deg in ("watchdog 31 set ", 30), ("watchdog 42 set ", 100):
         angles_deg = [float(line.removeprefix(begin)) for line in lines if line.startswith(begin)]
@@ -68,10 +68,15 @@ SCENES: Final = {
         260 time
         300 leg 4 set 92 → …; rejected 3 landing; …
         301 leg 5 start 90 → …; rejected 4 landing; …
+        302 calibrate 11 trim 1 → …; rejected 5 landing; …
         1259 pass
-        1260 leg 4 set 92 → …; rejected 5 servo_stopped  # the landing has ended
+        1260 leg 4 set 92 → …; rejected 6 servo_stopped  # the landing has ended
         running none
-        1262 leg 4 start 92 → command 4 start 92; completed 6""",
+        1262 leg 4 start 92 → command 4 start 92; completed 7""",
+    "what waits for its slot is rejected when the landing begins": f"""{LANDS.replace("rules", "rules period_ms=100,")}
+        250 leg 4 set 91
+        255 leg 4 set 92 → nothing
+        260 time → rejected 3 landing; announce landing""",
     "a bus fault never lands": f"""{LANDS}
         260 time
         300 fail
