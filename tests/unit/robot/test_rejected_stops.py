@@ -174,6 +174,7 @@ NAMED: list[tuple[str, object, str]] = [
     (LEG_3, b'{"servos": [{"op": "stop", "op": "set"}, {}, {}]}', "31 32 33"),
     (LEG_3, b'{"servos": [{"op": "st\\u006fp"}, {"op": "set"}, {}]}', "31"),
     (LEG_3, b'{"servos": [{"op": "st\\x6fp"}, {"op": "set"}, {}]}', "31 32 33"),
+    (LEG_3, _text({"servos": [ODD, SET, SET]}).ljust(MAX_PAYLOAD_BYTES), "31"),
     (keys.LEGS_COMMAND, {"legs": {"3": {"servos": [ODD] * 3}, "5": {"servos": [SET, ODD, SET]}}}, "31 32 33 52"),
     (
         keys.LEGS_COMMAND,

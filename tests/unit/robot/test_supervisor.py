@@ -37,6 +37,15 @@ SCENES: Final = {
         1600 time
         1610 leg 1 start 90
         watchdogs armed idle idle idle idle idle""",
+    "who moves a leg that somebody else has moved is announced and a nameless stop is not": """
+        1 leg 1 start 90 (source anna)
+        100 leg 1 set 80 (source bert) → …; announce source_changed
+        announces leg 1 is commanded by bert, and was by anna
+        200 servo 11 stop → command 11 stop; completed 3
+        300 leg 1 set 80 → rejected 4 servo_stopped
+        310 leg 1 start 80 (source anna) → …; announce source_changed
+        400 leg 1 set 80 → …; announce source_changed
+        announces leg 1 is commanded by somebody without a name, and was by anna""",
     "an angle outside a joints limits rejects the whole command": """
         rules joint_limits_cdeg={12: (2000, 16000)}
         1 leg 1 start 10 → rejected 1 joint_limit
