@@ -42,7 +42,7 @@ _PANELS = {
     "Files": ("decode",),
 }
 """The groups of `--help`, the urgent commands first."""
-_PACKAGED = (Path(__file__).parents[1] / "units").is_dir()
+_PACKAGED = (Path(__file__).parents[1] / "units/hexapod-gateway.service").is_file()
 """Whether this is the release of a Debian package: only that can be set up, so `setup` is its command alone."""
 
 

@@ -81,7 +81,7 @@ def waits(
 
     @wraps(method)
     async def call(twin: Twin[H], /, *args: P.args, **kwargs: P.kwargs) -> T:
-        asked = partial(method, twin._own, *args, **kwargs)
+        asked = partial(method, twin._own, *args, **kwargs)  # first: `_own` raises before the opening
         return await twin._calls.run(asked, stops=stops)
 
     return call

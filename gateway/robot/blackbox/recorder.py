@@ -142,6 +142,7 @@ class Recorder:
         self._waiting: list[tuple[int, int, bytes]] = []
         """Records before the ring is open, for which the first Stops do not wait."""
         self._opening = Lock()
+        """Held while the ring is being opened."""
         self._clock_ns = 0  # of the latest record of the wall clock  # mutants accepted (Step): long ago
         self._about_ns = clock()
         self._calibration = b""
@@ -190,8 +191,10 @@ class Recorder:
 
     def close(self) -> None:
         """Close the ring; later records are discarded. Waits OPENING_S at most for one that is being opened."""
-        self._opening.acquire(timeout=OPENING_S)
+        opened = self._opening.acquire(timeout=OPENING_S)
         self._folder = None
+        if opened:
+            self._opening.release()  # an opening that only begins now finds nothing to open
         if self._ring is not None:
             self._copy(self._ring, self._copied_ns + form.FOLLOW_NS)
             self._worker.close(CLOSE_S)

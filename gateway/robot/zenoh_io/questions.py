@@ -36,6 +36,8 @@ MAX_WITHOUT_TOKEN: Final = 32
 POLL_AGAIN_S: Final = (0.0002, 0.001, 0.004, 0.016, 0.064)
 """Delays of further polls, for a wakeup whose key's ring was empty. Zenoh delivers to the wakeup and to the ring one
 after the other, and its thread may be interrupted in between."""
+POLL_S: Final = 1.0
+"""The time between polls without a wakeup: a query may come long after its own."""
 MOST_WAKES: Final = 64
 """More wakeups wait only in a flood, which goes on waking."""
 MOST_ENDING: Final = 4096
@@ -108,7 +110,7 @@ class WokenRing:
         pauses_s: Iterator[float] = iter(())
         while (found := self._ring.try_recv()) is None:
             with suppress(Empty):
-                if not self._wakes.get(timeout=next(pauses_s, 1.0)):  # a query may come long after its wakeup
+                if not self._wakes.get(timeout=next(pauses_s, POLL_S)):
                     raise zenoh.ZError("the ring is closed")
                 pauses_s = iter(POLL_AGAIN_S)
         return found

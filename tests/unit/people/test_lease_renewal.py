@@ -265,7 +265,7 @@ def test_it_asks_waits_and_is_handed_it() -> None:
 
 
 def test_an_interruption_before_the_answer_gives_back_what_is_granted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Else nobody can drive until it expires: nobody knows its token."""
+    """Nobody would know its token, so nobody could drive until it expires."""
     robot = Robot(LASTING)
 
     def interrupt_and_answer(do: str, source: str | None) -> LeaseAck:
