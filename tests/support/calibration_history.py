@@ -118,6 +118,10 @@ class CalibrationHistory:
         within = low <= angle_cdeg <= high and self.whole.allows(servo_id, angle_cdeg)
         return within and not self._avoids(self.whole, servo_id, angle_cdeg)
 
+    def wire_cdeg(self, servo_id: int, angle_cdeg: int) -> int:
+        """What the servo is sent for this angle."""
+        return self.whole.servos.get(servo_id, AS_DRAWN).wire_cdeg(angle_cdeg)
+
     def _avoids(self, whole: Whole, servo_id: int, angle_cdeg: int) -> bool:
         """Whether it is one of the angles that are never on the wire."""
         low, high = self._rules.avoid_cdeg or (0, 0)

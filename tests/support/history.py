@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
 from gateway.allowance import NS_PER_S
-from gateway.model.frames import Op
+from gateway.model.frames import Op, ServoOp
 from gateway.robot.core import events
 from gateway.robot.core.leg import Rules
 from schemas.telemetry import Kind, Mode, Reason
@@ -112,6 +112,8 @@ class Want(NamedTuple):
     op: Op
     angle_cdeg: int
     number: int
+    from_cdeg: int | None = None
+    """Of a start: the angle at which it begins, as known when it was first asked for; None: at its newest target."""
 
 
 def speed_age_ns(since_ns: int, now_ns: int, rules: Rules) -> int | None:
@@ -150,7 +152,7 @@ class ServoHistory:
         """What of it still matters; see `Oracle.key`."""
         return (
             self.written_cdeg,
-            self.want and (self.want.op, self.want.angle_cdeg, rank[self.want.number]),
+            self.want and (self.want.op, self.want.angle_cdeg, self.want.from_cdeg, rank[self.want.number]),
             None if self.bound_cdeg is None else (self.bound_cdeg, rank.get(self.bound_for)),
             speed_age_ns(self.said_ns, now_ns, rules) if self.on else None,
             speed_age_ns(self.edge_ns, now_ns, rules) if self.on and self.edge_ns is not None else None,
@@ -173,11 +175,21 @@ class ServoHistory:
         known = rules.takeover_cdeg_s and now_ns - self.stood_ns <= rules.takeover_known_ns
         return self.stood_cdeg if known else None
 
-    def commanded_by(self, source: str | None, moved_ns: int | None, rules: Rules) -> None:
-        """A command starts or sets it; a frame moved its leg at `moved_ns`."""
-        if self.on and rules.takeover_cdeg_s and self.source != source and not self.eases:
-            self.eases, self.said_ns = True, moved_ns or 0
-        self.source = source
+    def wants(self, command: events.Command, op: ServoOp, moved_ns: int | None, now_ns: int, rules: Rules) -> None:
+        """An accepted command starts or sets it; a frame moved its leg at `moved_ns`."""
+        from_cdeg = None
+        if self.on:
+            if rules.takeover_cdeg_s and self.source != command.source and not self.eases:
+                self.eases, self.said_ns = True, moved_ns or 0
+        elif self.want is not None and self.starts:
+            from_cdeg = self.want.from_cdeg
+        else:
+            from_cdeg = self.stands(now_ns, rules)
+            if from_cdeg is None and rules.angles_first:
+                from_cdeg = op.angle_cdeg
+        kind = Op.START if self.starts else op.op
+        self.want, self.bound_cdeg = Want(kind, op.angle_cdeg, command.number, from_cdeg), None
+        self.source = command.source
 
     @property
     def on(self) -> bool:

@@ -91,7 +91,7 @@ _KNOWN: Final = (
     (_ROBOT.legs, "due_ns repeat_ns at_rest"),  # these follow from the others: `take` sees to that
     (_ROBOT.legs, "stopping _silent _first_stops fed"),  # these count within a step
     (Leg, "number servos slots commanded_ns expired source landed_ns unfed_ns eases"),
-    (Servo, "servo_id angle_cdeg waiting waiting_for begun announced_cdeg since_ns passing_cdeg"),
+    (Servo, "servo_id angle_cdeg waiting waiting_for begun from_cdeg since_ns passing_cdeg"),
     (Servo, "repeats_left repeat_ns stopped_ns stopped_by source eases stopped"),
     (RateSlots, "period_ns oldest_ns next_ns taken_ns"),
     (StartQueue, "pause_ns next_ns legs"),
@@ -290,7 +290,7 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
                     (
                         servo.angle_cdeg,
                         servo.waiting and (servo.waiting, servo.begun, rank.get(servo.waiting_for.number)),
-                        servo.announced_cdeg,
+                        servo.from_cdeg,
                         servo.passing_cdeg,
                         speed_age_ns(servo.since_ns, now_ns, legs._rules) if servo.running else None,
                         legs._rules.takeover_cdeg_s and _takeover_key(legs, servo, now_ns),

@@ -18,9 +18,10 @@ def stepped(
     servo: ServoHistory, servo_id: int, angle_cdeg: int, target_cdeg: int, now_ns: int, rules: Rules, gap: Gap
 ) -> None:
     """A frame takes a servo to `angle_cdeg`, towards its target. Raise Violation where it is too far or too little."""
-    stood_cdeg = servo.stands(now_ns, rules)
-    if not servo.on and stood_cdeg is not None:
-        servo.eases, servo.said_ns = True, now_ns
+    stood_cdeg = servo.written_cdeg
+    if servo.want is not None and not servo.on:
+        stood_cdeg, servo.said_ns = servo.want.from_cdeg, now_ns
+        servo.eases = rules.takeover_cdeg_s > 0 and stood_cdeg is not None
     speeds = [rules.max_speed_cdeg_s.get(servo_id), rules.takeover_cdeg_s if servo.eases else None]
     speed_cdeg_s = min((each for each in speeds if each is not None), default=None)
     if speed_cdeg_s is None or stood_cdeg is None:

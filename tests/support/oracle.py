@@ -35,7 +35,6 @@ from gateway.robot.core.supervisor import Supervisor
 from schemas.telemetry import Cause, Kind, Reason
 from tests.support.history import (
     CLOSED,
-    Want,
     change_hands,
     demand,
     is_announced,
@@ -129,6 +128,8 @@ class Oracle(RobotHistory):
             after.latch.number == self.estops, f"{self.estops} emergency stops were requested, not {after.latch.number}"
         )
         holder, alive = after.lease.holder, after.buttons.alive
+        to_feed, fed = self.to_feed(), after.legs.to_feed()
+        demand(fed == to_feed, f"the board is to feed {to_feed}, not {fed}")
         demand(holder == self.lease.holder, f"{self.lease.holder} holds the lease, not {holder}")
         demand(alive == self.buttons.alive, f"{self.buttons.alive} are alive, not {alive}")
         self._after(now_ns, after.due_ns, ran=ran)
@@ -348,10 +349,7 @@ class Oracle(RobotHistory):
                 demand(servo_id in told_to_stop or repeated_anyway, f"the Stop for {servo_id} is sent at once")
                 servo.stop(command.channel, self.instant_ns)
             else:
-                still_starts = op.op is Op.START or servo.starts
-                servo.want = Want(Op.START if still_starts else Op.SET, op.angle_cdeg, command.number)
-                servo.bound_cdeg = None
-                servo.commanded_by(command.source, self.legs[servo_id // 10].moved_ns, self.rules)
+                servo.wants(command, op, self.legs[servo_id // 10].moved_ns, now_ns, self.rules)
         return frozenset(servo_id for servo_id, op in targets if op.op is Op.STOP)
 
     def _must_be_rejected(

@@ -244,6 +244,17 @@ class RobotHistory:
         """The servos that run or wait to be started."""
         return frozenset(servo_id for servo_id, servo in self.servos.items() if servo.on or servo.starts)
 
+    def to_feed(self) -> dict[int, int | None]:
+        """What runs (None), and what waits to be started, with the wire angle at which its supply may start it."""
+        found: dict[int, int | None] = {}
+        for servo_id, servo in self.servos.items() if self.bus_ok else ():
+            if servo.on:
+                found[servo_id] = None
+            elif servo.want is not None:
+                known = servo.want.angle_cdeg if servo.want.from_cdeg is None else servo.want.from_cdeg
+                found[servo_id] = self.calibration.wire_cdeg(servo_id, known)
+        return found
+
     # ---- what is taken
 
     def learn(self, event: EstopKept | StoppedOutside) -> None:

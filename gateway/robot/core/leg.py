@@ -194,8 +194,9 @@ class Servo:  # mutants accepted (Step): set before it is read
     """The command that set `waiting`."""
     begun: bool = False
     """Whether a frame has made a step towards `waiting`, since the servo's speed is limited. Its command is done."""
-    announced_cdeg: int | None = None
-    """If supply starts servos: the angle on the wire before, which the servo takes once it is powered."""
+    from_cdeg: int | None = None
+    """The angle at which its waiting start begins: where it stood, if known, or if supply starts servos, the first
+    target. None: at the newest target."""
     since_ns: int = 0
     """When the time for its next step begins."""
     source: str | None = None

@@ -166,9 +166,8 @@ class Legs:
             if servo.angle_cdeg is not None:
                 found[servo_id] = None
             elif servo.waiting is not None:
-                if servo.announced_cdeg is None:
-                    servo.announced_cdeg = servo.waiting.angle_cdeg
-                found[servo_id] = self.limits.calibration.of(servo_id).wire_cdeg(servo.announced_cdeg)
+                from_cdeg = servo.waiting.angle_cdeg if servo.from_cdeg is None else servo.from_cdeg
+                found[servo_id] = self.limits.calibration.of(servo_id).wire_cdeg(from_cdeg)
         return found
 
     def repeat_stops(self, now_ns: int) -> list[Effect]:
@@ -317,7 +316,7 @@ class Legs:
         effects: list[Effect] = []
         for servo in leg.servos:
             if servo.waiting is not None and servo.waiting.op is OP_STOP:
-                servo.waiting = None
+                servo.waiting = servo.from_cdeg = None
                 # If a stream above the rate keeps stopping a stopped servo, the repeats suffice.
                 if servo.running or not servo.repeats_left:
                     stop = OneServo(servo.servo_id, STOP)
@@ -363,7 +362,7 @@ class Legs:
             if op.op is OP_STOP:
                 self._stopped(servo, now_ns)
             else:
-                servo.angle_cdeg, servo.announced_cdeg = op.angle_cdeg, None
+                servo.angle_cdeg, servo.from_cdeg = op.angle_cdeg, None
                 servo.repeats_left = 0  # started again: a repeated Stop would undo it
                 leg.expired = False
             if not servo.begun:
@@ -443,7 +442,7 @@ class Legs:
         self.stopping.add(servo.servo_id)
         if servo.angle_cdeg is not None:
             servo.stopped, servo.eases = (servo.angle_cdeg, now_ns, self.limits.calibration), False
-        servo.angle_cdeg = servo.waiting = servo.announced_cdeg = servo.passing_cdeg = None
+        servo.angle_cdeg = servo.waiting = servo.from_cdeg = servo.passing_cdeg = None
         if not servo.repeats_left:  # else the next repeat keeps its time
             servo.repeat_ns = now_ns + self._rules.repeat_interval_ns
         servo.repeats_left = self._rules.repeats
@@ -479,7 +478,7 @@ class Legs:
         rejected = dict.fromkeys([each.waiting_for for each in servos if each.waiting is not None and not each.begun])
         for servo in self.servos.values():  # a rejected command must not take effect on another leg, nor continue there
             if servo.waiting is not None and servo.waiting_for in rejected:
-                servo.waiting = servo.announced_cdeg = servo.passing_cdeg = None
+                servo.waiting = servo.from_cdeg = servo.passing_cdeg = None
         for servo in servos:  # nor does one of these continue to an earlier command's target
             servo.waiting = servo.passing_cdeg = None
         for number in tuple(self._queue.legs):

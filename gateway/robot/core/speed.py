@@ -45,16 +45,21 @@ class LimitedSpeeds:
         self._eases = rules.takeover_cdeg_s > 0
 
     def take_over(self, leg: Leg, servos: Iterable[Servo], source: str | None, now_ns: int) -> None:
-        """Ease these servos, which `source` starts, or sets after another source."""
-        supply_starts = self._rules.angles_first
+        """Ease these servos, which `source` starts, or sets after another source.
+
+        A start keeps the angle that it begins with, however long it waits for power.
+        """
         for servo in servos:
             servo.source = source
-            if self._eases and (servo.running or supply_starts or servo.stopped):
-                leg.eases = True  # a stopped servo begins to ease with its start's frame
-                if servo.running and not servo.eases:
-                    servo.eases, servo.since_ns = True, leg.slots.taken_ns
-                elif not servo.running and supply_starts and servo.announced_cdeg is None:  # before any frame
-                    servo.announced_cdeg = self._stood_cdeg(servo, now_ns)
+            if servo.angle_cdeg is not None:
+                if self._eases and not servo.eases:
+                    leg.eases = servo.eases = True
+                    servo.since_ns = leg.slots.taken_ns
+            elif servo.from_cdeg is None:
+                servo.from_cdeg = None if servo.stopped is None else self._stood_cdeg(servo, now_ns)
+                if servo.from_cdeg is None and self._rules.angles_first and servo.waiting is not None:
+                    servo.from_cdeg = servo.waiting.angle_cdeg
+                leg.eases = leg.eases or servo.from_cdeg is not None
 
     def _stood_cdeg(self, servo: Servo, now_ns: int) -> int | None:
         """Return a stopped servo's angle if its Stop was recent and the calibration is the same, else None."""
@@ -68,7 +73,7 @@ class LimitedSpeeds:
     def in_steps(self, leg: Leg, waiting: list[tuple[Servo, ServoOp]], now_ns: int) -> list[tuple[Servo, ServoOp]]:
         """Return the operations in the frame that leaves now: with a speed limit, steps towards the waiting targets."""
         steps = [(servo, op if op.op is OP_STOP else self._step(servo, op, now_ns)) for servo, op in waiting]
-        leg.eases = any(servo.eases for servo in leg.servos)
+        leg.eases = any(servo.eases or servo.from_cdeg is not None for servo in leg.servos)
         if len(waiting) == 2:
             (idle,) = {*leg.servos} - {servo for servo, _ in waiting}
             idle.since_ns = now_ns  # the frame repeats its angle, and the next step counts from here
@@ -77,8 +82,7 @@ class LimitedSpeeds:
     def _step(self, servo: Servo, op: ServoOp, now_ns: int) -> ServoOp:
         target_cdeg, stands_cdeg = op.angle_cdeg, servo.angle_cdeg
         if stands_cdeg is None:
-            stands_cdeg = servo.announced_cdeg if self._rules.angles_first else self._stood_cdeg(servo, now_ns)
-            servo.eases, servo.since_ns = self._eases, now_ns
+            stands_cdeg, servo.eases, servo.since_ns = servo.from_cdeg, self._eases, now_ns
         speed_cdeg_s = self._rules.max_speed_cdeg_s.get(servo.servo_id)
         if servo.eases:
             takeover_cdeg_s = self._rules.takeover_cdeg_s

@@ -88,6 +88,7 @@ RULES = st.builds(
     rest_run_ns=st.sampled_from([5, 50, 1100]).map(lambda ms: ms * NS_PER_MS),
     period_ns=st.sampled_from([1, 20, 100, 1000]).map(lambda ms: ms * NS_PER_MS),
     unnumbered_reset_ns=st.sampled_from([1, 50, 2000]).map(lambda ms: ms * NS_PER_MS),
+    start_wait_ns=st.sampled_from([0, 0, 15]).map(lambda ms: ms * NS_PER_MS),
     start_pause_ns=st.sampled_from([0, 0, 15, 100]).map(lambda ms: ms * NS_PER_MS),
     joint_limits_cdeg=st.sampled_from([{}, {11: (10_00, 90_00), 62: (0, 0)}]),
     max_speed_cdeg_s=st.sampled_from([{}, {}, {11: 1, 12: 60_00, 21: 1000_00}]),
@@ -99,11 +100,15 @@ RULES = st.builds(
     min_battery_mv=st.sampled_from([0, 0, 7000]),
     max_tilt_cdeg=st.sampled_from([0, 0, 30_00]),
     tilt_ns=st.sampled_from([20, 200]).map(lambda ms: ms * NS_PER_MS),
-    power=st.sampled_from([False, False, True]),
+    power=st.booleans(),
+    angles_first=st.booleans(),
     feed_ns=st.sampled_from([30, 1800]).map(lambda ms: ms * NS_PER_MS),
 )
+RULES = RULES.map(lambda rules: replace(rules, angles_first=rules.angles_first and rules.power))
 WHOLE_OR_NOT = st.one_of(
-    RULES, RULES, RULES.map(lambda rules: replace(rules, starts_whole=True, start_pause_ns=0, power=False))
+    RULES,
+    RULES,
+    RULES.map(lambda rules: replace(rules, starts_whole=True, start_pause_ns=0, power=False, angles_first=False)),
 )
 CALIBRATIONS = st.sampled_from(
     [

@@ -88,10 +88,57 @@ def test_a_board_whose_supply_starts_a_servo_feeds_it_at_the_angle_where_it_stan
     )
 
 
-@pytest.mark.parametrize(("supply_starts", "at_cdeg"), [(True, 20_00), (False, 170_00)])
-def test_the_angle_at_which_supply_starts_a_servo_stays_however_long_it_waits(
-    supply_starts: bool, at_cdeg: int
-) -> None:
+@pytest.mark.parametrize("supply_starts", [True, False])
+def test_the_angle_at_which_a_start_begins_stays_however_long_it_waits_for_power(supply_starts: bool) -> None:
     steps = play(STOPPED.replace("angles_first=True", f"angles_first={supply_starts}"))
     steps.play("1500 servo 31 start 160 (source anna)\n 2150 servo 31 set 170 (source bert)")
-    assert steps.supervisor.legs.to_feed() == {31: at_cdeg}
+    assert steps.supervisor.legs.to_feed() == {31: 20_00}
+    steps.play("2200 board → command 31 start 20; …")
+
+
+STOPPED_BESIDE: Final = """rules power=True, angles_first=True, repeats=3
+    1 board
+    10 servo 32 start 20
+    20 board
+    100 servo 31 stop
+    105 servo 31 start 160
+    109 servo 32 set 21
+    110 servo 31 stop + servo 32 set 20  # which waits for its rate slot
+"""
+
+
+def test_no_servo_is_fed_at_the_angle_of_a_start_that_was_stopped() -> None:
+    steps = play(f"{STOPPED_BESIDE} 300 servo 31 start 90")
+    assert steps.supervisor.legs.to_feed() == {31: 90_00, 32: None}
+
+
+WAITING: Final = """rules power=True, takeover_cdeg_s=18000
+    1 board
+    10 leg 3 start 60
+    20 board
+"""
+"""Leg 3 of a robot with a power board stands at 60 degrees."""
+WAITING_SCENES: Final = {
+    "while a neighbour moves": """
+        100 servo 31 stop
+        200 leg 3 start 150 → command 3 stop | start 150 | start 150
+        220 board → command 31 start 60; …
+        240 time → command 31 set 63.6""",
+    "while a neighbour is taken over and arrives": """
+        100 servo 31 stop
+        200 servo 31 start 150
+        210 servo 32 set 66 (source bert) → command 32 set 63.6; …
+        230 time → command 32 set 66
+        300 board → command 31 start 60; …""",
+    "while another servo is calibrated": """
+        100 leg 3 stop
+        200 leg 3 start 150
+        210 calibrate 11 trim 5
+        220 kept
+        300 board → command 3 start 60; …""",
+    "beyond the time in which its angle is known": """
+        100 leg 3 stop
+        1900 leg 3 start 150
+        2300 board → command 3 start 60; …""",
+}
+test_a_start_that_waits_for_power_eases = scene_test(WAITING_SCENES, WAITING)
