@@ -104,6 +104,6 @@ JUDGES: Final = {
     "gateway/people/client/silence.py": _people("client_times times"),
     "gateway/people/walking/tempo.py": _people("ride_script times"),
     "gateway/people/walking/words.py": _people("words times"),
-    "gateway/people/walking/ride.py": _people("ride ride_course ride_script times"),
+    "gateway/people/walking/ride.py": _people("ride ride_script times"),
 }
 """What keeps the robot safe, in the order of the way back: what stays longest comes first."""

@@ -12,7 +12,7 @@ from tests.support.bridged import PATIENT
 from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import Gateway
 from tests.support.rclpy_peer import COMMANDS, DIAGNOSTICS, RclpyBridge, RclpyPeer
-from tests.support.ros2_messages import Float64, Int32, JointTrajectory
+from tests.support.ros2_messages import Float64, Int32
 
 gateway = gateway_fixture(PATIENT, scope="package")
 
@@ -29,7 +29,6 @@ def one_peer(bridge: RclpyBridge) -> Iterator[RclpyPeer]:
     with RclpyPeer() as running_one:
         running_one.subscribe(DIAGNOSTICS, DiagnosticArray)
         running_one.advertise(COMMANDS, JointState)
-        running_one.advertise("/hexapod/joint_trajectory", JointTrajectory)
         running_one.advertise("/hexapod/cmd_vel", Twist)
         running_one.advertise("/hexapod/cmd_gait_type", Int32)
         for topic in ("roll_setpoint", "pitch_setpoint", "cmd_base_height"):

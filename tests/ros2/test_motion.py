@@ -1,4 +1,4 @@
-"""What moves the robot through the bridge, and what stops it: joint commands, walking, trajectories, several nodes."""
+"""What moves the robot through the bridge, and what stops it: joint commands, walking, several nodes."""
 
 import itertools
 import math
@@ -12,9 +12,7 @@ from gateway.people.ros2.messages import Header, JointState, Message, Odometry, 
 from schemas.telemetry import Kind, Mode
 from tests.support.bridged import (
     GEOMETRY,
-    LONG_S,
     RESTS_DEG,
-    SLOW,
     WALKING,
     commanded,
     keeps,
@@ -25,27 +23,21 @@ from tests.support.bridged import (
 from tests.support.heard import events, frames, running, states
 from tests.support.rclpy_peer import COMMANDS, DIAGNOSTICS, RclpyPeer, needs_rclpy
 from tests.support.ros2_messages import (
-    Duration,
     Float64,
     Int32,
-    JointTrajectory,
-    JointTrajectoryPoint,
     TwistStamped,
     replace,
 )
 
 pytestmark = needs_rclpy
 VELOCITIES: Final = "/hexapod/cmd_vel"
-TRAJECTORY: Final = "/hexapod/joint_trajectory"
 SIMULATED: Final = Header(Time(12, 500_000_000))
 """As a simulator's clock has it, some seconds after its start."""
 MANY: Final = tuple(f"joint_{number}" for number in range(10_000))
-TO_ZERO: Final = JointTrajectoryPoint((0.0,) * len(MANY), time_from_start=Duration(1))
 LATE: Final = "it has a stamp of 1970-01-01"
 BAD: Final[tuple[tuple[str, Message, str], ...]] = (
     ("joint_commands", JointState(name=MANY, position=(0.0,) * 10_000), "and at most 4096 are taken"),
     ("joint_commands", replace(resting(), header=SIMULATED), LATE),
-    ("joint_trajectory", JointTrajectory(Header(), MANY, (TO_ZERO,)), "there is no joint"),
     ("cmd_vel", Twist(Vector3(math.nan)), "cmd_vel: "),
     ("cmd_vel_stamped", TwistStamped(SIMULATED, Twist(Vector3(0.05))), LATE),
     ("cmd_base_height", Float64(math.nan), "a height and a leaning are finite numbers"),
@@ -150,38 +142,6 @@ def test_a_node_that_sends_zeros_starts_no_servo_and_beside_it_another_drives(
         driven.next(DIAGNOSTICS, taken)
         assert watcher.state().mode == Mode.IDLE
         keeps(both, lambda: len(running(watcher)) == 6, hz=20)
-
-
-# ---- trajectories
-
-
-@pytest.mark.parametrize("dies", [False, True], ids=["it withdraws", "it is killed"])
-def test_a_peer_that_vanishes_in_mid_trajectory_has_the_robot_sit_down(
-    dies: bool, driven: RclpyPeer, watcher: Client
-) -> None:
-    """The profile has DDS notice a killed process after 3 s."""
-    del driven
-    written = frames(watcher)
-    with RclpyPeer() as vanishing:
-        vanishing.advertise(TRAJECTORY, JointTrajectory)
-        vanishing.publish(TRAJECTORY, SLOW)
-        keeps(lambda: None, lambda: len(set(commanded(written.all, 11))) > 5)
-        if dies:
-            vanishing.child.kill()
-        else:
-            vanishing.withdraw(TRAJECTORY)
-        states(watcher).wait(lambda state: state.mode == Mode.IDLE, timeout_s=LONG_S)
-    assert max(commanded(written.all, 11)) < RESTS_DEG[1] + 57, "it did not follow it to its end"
-    assert watcher.state().lease.holder == "ros2", "another may go on"
-
-
-def test_an_empty_trajectory_holds(driven: RclpyPeer, watcher: Client) -> None:
-    written = frames(watcher)
-    driven.publish(TRAJECTORY, SLOW)
-    keeps(lambda: None, lambda: len(running(watcher)) == 6 and len(set(commanded(written.all, 11))) > 5)
-    driven.publish(TRAJECTORY, JointTrajectory())
-    keeps(lambda: None, lambda: rests(written, 11, count=20))
-    assert len(running(watcher)) == 6
 
 
 # ---- several nodes

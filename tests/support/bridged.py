@@ -13,7 +13,6 @@ from schemas.robot import SERVO_IDS
 from schemas.telemetry import Cause, FrameRecord
 from tests.support.fixtures import patient
 from tests.support.heard import Heard
-from tests.support.ros2_messages import Duration, JointTrajectory, JointTrajectoryPoint
 
 READY: Final = "is in ROS 2's graph"
 GEOMETRY: Final = load()
@@ -59,19 +58,6 @@ def commanded(records: list[FrameRecord], servo_id: int) -> list[float]:
         for each, op in decode_frame(bytes.fromhex(record.bytes)).servos
         if each == servo_id and op.op is not Op.STOP
     ]
-
-
-def plan(*points: tuple[float, float]) -> Message:
-    """Seconds and radians of joint_11; the others stay."""
-    found = []
-    for at_s, moved_rad in points:
-        state = resting(joint_11=moved_rad)
-        whole, part = divmod(at_s, 1)
-        found.append(JointTrajectoryPoint(state.position, time_from_start=Duration(int(whole), int(part * 1e9))))
-    return JointTrajectory(joint_names=resting().name, points=tuple(found))
-
-
-SLOW: Final = plan((0.5, 0.0), (55.0, 1.0))
 
 
 def rests(written: Heard[FrameRecord], *servos: int, count: int) -> bool:

@@ -21,28 +21,6 @@ Int32: Final = _type("std_msgs/msg/Int32", data=0)
 Float64: Final = _type("std_msgs/msg/Float64", data=0.0)
 TwistStamped: Final = _type("geometry_msgs/msg/TwistStamped", header=Header(Time(0, 0), ""), twist=Twist())
 Duration: Final = _type("builtin_interfaces/msg/Duration", sec=0, nanosec=0)
-JointTrajectoryPoint: Final = _type(
-    "trajectory_msgs/msg/JointTrajectoryPoint",
-    positions=(),
-    velocities=(),
-    accelerations=(),
-    time_from_start=Duration(),
-)
-JointTrajectory: Final = _type(
-    "trajectory_msgs/msg/JointTrajectory", header=Header(Time(0, 0), ""), joint_names=(), points=()
-)
-MultiDOFJointTrajectory: Final = _type("trajectory_msgs/msg/MultiDOFJointTrajectory", points=())
-JointTolerance: Final = _type("control_msgs/msg/JointTolerance", name="", position=0.0)
-FollowJointTrajectory_Goal: Final = _type(
-    "control_msgs/action/FollowJointTrajectory_Goal",
-    trajectory=JointTrajectory(),
-    multi_dof_trajectory=MultiDOFJointTrajectory(),
-    path_tolerance=(),
-    goal_tolerance=(),
-    goal_time_tolerance=Duration(),
-)
-FollowGoal: Final = FollowJointTrajectory_Goal
-
 STORE: Final = get_typestore(Stores.ROS2_JAZZY)
 
 

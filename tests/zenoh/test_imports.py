@@ -14,7 +14,7 @@ from packaging.utils import canonicalize_name
 
 PROJECT: Final = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
 NEED_AN_EXTRA: Final = {
-    **{f"gateway.people.ros2.{name}": "rclpy" for name in ("follow_action", "node", "run", "topics")},
+    **{f"gateway.people.ros2.{name}": "rclpy" for name in ("node", "run", "topics")},
     "gateway.people.console": "console",
     "gateway.people.physics": "physics",
     "gateway.people.recorder.record": "record",

@@ -54,11 +54,11 @@ def ros2(
 ) -> None:
     """Connect the robot to ROS 2, as a node of the ROS 2 that is installed here, over any RMW.
 
-    It publishes joint_states, robot_description and diagnostics, and what the robot measures: battery_state, imu/data
-    and temperature. After a call of its service drive it holds the lease and takes joint_commands, joint_trajectory,
-    cmd_vel (cmd_vel_stamped), cmd_base_height, roll_setpoint, pitch_setpoint, cmd_gait_type and goals of the action
-    follow_joint_trajectory. The service release ends this. Everybody may call estop at any time. The service reset ends
-    only an emergency stop that was engaged through ROS while the node drove.
+    It publishes joint_states, robot_description and diagnostics, and what the robot measures: battery_state,
+    imu/data and temperature. After a call of its service drive it holds the lease and takes joint_commands, cmd_vel
+    (cmd_vel_stamped), cmd_base_height, roll_setpoint, pitch_setpoint and cmd_gait_type. The service release ends
+    this. Everybody may call estop at any time. The service reset ends only an emergency stop that was engaged
+    through ROS while the node drove.
     """
     from gateway.people.ros2 import run
     from gateway.people.ros2.parameters import Parameters

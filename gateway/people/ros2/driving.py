@@ -17,10 +17,8 @@ from gateway.geometry import Geometry
 from gateway.people.client.blocking import Client
 from gateway.people.client.dangers import UNCONFIRMED, confirmed_off
 from gateway.people.client.lease import Lease
-from gateway.people.ros2.goals import GoalProgress
-from gateway.people.ros2.motions import DOES_NOT_STAND, Following, JointCommands, Motion, Walking
+from gateway.people.ros2.motions import DOES_NOT_STAND, JointCommands, Motion, Walking
 from gateway.people.ros2.own_stop import OwnStop
-from gateway.people.ros2.trajectory import Trajectory
 from gateway.people.walking.motion import ORIGIN, Odometry, Velocity
 from schemas.telemetry import GatewayState, Mode, Reason
 
@@ -30,7 +28,7 @@ _NOT_OURS: Final = (
     "this emergency stop did not come through ROS alone, or not while the bridge drove; leave it at the robot, or "
     "start the bridge with --allow-reset"
 )
-M = TypeVar("M", JointCommands, Following, Walking)
+M = TypeVar("M", JointCommands, Walking)
 
 
 class NotTakenError(Exception):
@@ -53,7 +51,6 @@ class Driving:
         """The latest emergency stop's number when it began to drive."""
         self._own = OwnStop()
         self._received: GatewayState | None = None
-        self._estopped = False
         self._gait = "tripod"
         self._went = ORIGIN
         """The odometry of all walks that have ended."""
@@ -179,25 +176,6 @@ class Driving:
                     raise
                 raise NotTakenError(str(error)) from error
 
-    def follow(self, plan: Trajectory, is_there: Callable[[], bool]) -> None:
-        """Follow a trajectory. `is_there` returns whether its sender still exists."""
-        with self._taking():
-            self._using(Following, lambda: Following(self._client, self._geometry)).follow(plan, is_there)
-
-    def progress(self, plan: Trajectory) -> GoalProgress:
-        """Return the progress of a trajectory. Never waits for a motion."""
-        motion = self._motion
-        if isinstance(motion, Following):
-            return motion.progress(plan)
-        ended = "an emergency stop was engaged" if self._estopped else "its motion has ended"
-        return GoalProgress({}, {}, ended if self.drives else self._why_not)
-
-    def hold(self, plan: Trajectory | None = None) -> None:
-        """Hold where this trajectory is now, if it is followed (None: any). Never waits for a motion."""
-        motion = self._motion
-        if isinstance(motion, Following):
-            motion.hold(plan)
-
     def go(self, velocity: Velocity) -> None:
         """Walk at this velocity for half a second."""
         with self._taking():
@@ -237,7 +215,6 @@ class Driving:
     def receive(self, state: GatewayState) -> None:
         """Take a published state. Never waits."""
         self._received = state
-        self._estopped = state.mode == Mode.ESTOPPED
 
     # ---- inside, with the lock
 

@@ -10,7 +10,7 @@ import os
 import socket
 import tempfile
 import threading
-from collections.abc import Callable, Iterable, Iterator, Set
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import asdict
 from importlib import import_module
@@ -36,7 +36,7 @@ from gateway.endpoints import is_local
 from gateway.errors import ConfigError, GatewayError
 from gateway.people.ros2.messages import Message
 from gateway.people.ros2.parameters import DESCRIPTIONS, Parameters
-from gateway.people.ros2.received import Present, read_each
+from gateway.people.ros2.received import read_each
 
 NAME: Final = "hexapod_gateway"
 SIMULATED: Final = "use_sim_time is set, and the time of a robot is real"
@@ -164,16 +164,6 @@ class Node(LifecycleNode):  # type: ignore[misc]
         self._start(f"serve {service}", made.handle, "service", receive)
         if always:
             self._listen(service, Empty, lambda _: _attempt(call))
-
-    def senders(self, topic: str) -> Present:
-        """Return a function that returns who publishes on a topic now."""
-        infos = self.get_publishers_info_by_topic
-        return _present(lambda: (bytes(each.endpoint_gid[:_GID_BYTES]) for each in infos(topic)))
-
-    def callers(self, service: str) -> Present:
-        """Return a function that returns how many may call a service now: rclpy reports no GIDs of clients."""
-        name = self.resolve_service_name(service)
-        return _present(lambda: (b"%d" % number for number in range(self.count_clients(name))))
 
     def _listen(self, topic: str, found: Any, take: Callable[[Any], object], *, is_stream: bool = False) -> None:
         reliability = ReliabilityPolicy.BEST_EFFORT if is_stream else ReliabilityPolicy.RELIABLE
@@ -319,16 +309,6 @@ class _OwnThreads(CallbackGroup):  # type: ignore[misc]
     def can_execute(self, entity: Any) -> bool:
         del entity
         return False
-
-
-def _present(find: Callable[[], Iterable[bytes]]) -> Present:
-    def present() -> Set[bytes]:
-        try:
-            return frozenset(find())
-        except RuntimeError:  # the context is shut down: then nobody is seen
-            return frozenset()
-
-    return present
 
 
 def _keep_time_real(parameters: list[Any]) -> Any:

@@ -1,29 +1,17 @@
-"""What is received from ROS 2: the sender, whether it still exists, and which of several senders is followed.
+"""What is received from ROS 2, and which of several senders is followed.
 
 If a joystick's and a planner's node both send, the robot would do half of each. So the first is followed until it is
 silent. For priorities between them, put twist_mux in front of the bridge.
 """
 
 import logging
-from collections.abc import Callable, Iterable, Set
+from collections.abc import Callable, Iterable
 from typing import Any, Final
 
 SILENT_S: Final = 0.5
 """A node that is silent for longer moves nothing. A velocity holds for this time, too."""
 
 _log: Final = logging.getLogger(__name__)
-
-
-Present = Callable[[], Set[bytes]]
-"""Returns the GIDs of those who publish on a topic now."""
-
-
-def presence(sender: bytes, present: Present) -> Callable[[], bool]:
-    """Return a check whether this sender is still there. For an unknown GID it checks all senders present now."""
-    before = frozenset(present())
-    if sender in before:
-        return lambda: sender in present()
-    return lambda: bool(before) and before <= present()
 
 
 class Rivals:

@@ -26,8 +26,8 @@ from gateway.people.ros2 import messages as ros
 from gateway.people.ros2 import robot
 from gateway.people.ros2.commanded import CommandedJoints
 from gateway.people.ros2.driving import Driving
+from gateway.people.ros2.joints import JointNames, JointsError
 from gateway.people.ros2.parameters import Parameters
-from gateway.people.ros2.trajectory import JointNames, JointsError
 from gateway.people.terminal import hint, on_end_signals, say
 from gateway.people.walking.motion import ORIGIN
 from schemas import keys
@@ -35,7 +35,6 @@ from schemas.calibration import Calibration
 from schemas.telemetry import FrameRecord, GatewayState, Telemetry
 
 try:
-    from gateway.people.ros2.follow_action import NAME, FollowAction
     from gateway.people.ros2.node import Node, open_on
     from gateway.people.ros2.topics import Topics
 except ImportError as error:
@@ -212,10 +211,6 @@ def serve(
             with suppress(UnansweredError):  # an older gateway has none
                 reports.joints.take(keys.CALIBRATION, client.calibration().model_dump(mode="json"))
             topics.subscribe()
-            try:
-                FollowAction(topics)
-            except ConfigError as error:
-                hint(f"no action {NAME}: {error}")
             node.serve("reset", partial(driving.reset, of_anybody=allow_reset))
             node.serve("drive", driving.drive)
             node.serve("release", driving.release)

@@ -12,16 +12,14 @@ from typing import Any, Final
 from gateway.geometry import Geometry
 from gateway.model.staleness import Staleness
 from gateway.people.ros2.driving import Driving, NotTakenError
+from gateway.people.ros2.joints import JointNames, check_reach, of_joints, stamp_ns
 from gateway.people.ros2.node import Node
-from gateway.people.ros2.received import SILENT_S, Rivals, presence
-from gateway.people.ros2.trajectory import JointNames, Trajectory, check_reach, of_joints, stamp_ns
+from gateway.people.ros2.received import SILENT_S, Rivals
 from gateway.people.walking.gaits import NUMBERS
 from gateway.people.walking.motion import Velocity
 
 _MAX_BYTES: Final = 4096
 """The limit of a command to the gateway; 18 joints with velocity and effort take 1000."""
-MAX_TRAJECTORY_BYTES: Final = 1_000_000
-"""2000 points of 18 joints with velocities take 650 000."""
 MAX_AGE_MS: Final = 500.0
 """The oldest message accepted, as by `limits.max_age_ms`: a link may hold messages back."""
 
@@ -31,8 +29,8 @@ that knows no time yet, begin in 1970."""
 _WITHOUT_DIGITS: Final = str.maketrans("", "", "0123456789")
 _MOST_SHOWN: Final = 200
 """Most reasons that get a line: other programs choose the names in some of them."""
-Take = Callable[[Any, bytes], bool | None]
-"""Takes a message and its sender's GID. Returns False if the message claims nothing: others may publish, too."""
+Take = Callable[[Any], bool | None]
+"""Takes a message. Returns False if the message claims nothing: others may publish, too."""
 
 
 @dataclass(eq=False)
@@ -47,7 +45,6 @@ class Topics:
     """Receives lines for a person, each reason once."""
 
     def __post_init__(self) -> None:
-        self._present = self.node.senders("joint_trajectory")
         self._lock = threading.Lock()
         self._ages = Staleness(MAX_AGE_MS)
         walking = Rivals()
@@ -62,43 +59,27 @@ class Topics:
         stand = self.driving.stand
         table: dict[str, tuple[str, Take]] = {
             "joint_commands": ("sensor_msgs/msg/JointState", self._joint_commands),
-            "joint_trajectory": ("trajectory_msgs/msg/JointTrajectory", self._joint_trajectory),
-            "cmd_vel": ("geometry_msgs/msg/Twist", lambda found, _: self._go(found)),
-            "cmd_vel_stamped": ("geometry_msgs/msg/TwistStamped", lambda found, _: self._go(found.twist)),
-            "cmd_base_height": ("std_msgs/msg/Float64", lambda found, _: stand(height_m=found.data)),
-            "roll_setpoint": ("std_msgs/msg/Float64", lambda found, _: stand(roll_rad=found.data)),
-            "pitch_setpoint": ("std_msgs/msg/Float64", lambda found, _: stand(pitch_rad=found.data)),
-            "cmd_gait_type": ("std_msgs/msg/Int32", lambda found, _: self._gait(found.data)),
+            "cmd_vel": ("geometry_msgs/msg/Twist", self._go),
+            "cmd_vel_stamped": ("geometry_msgs/msg/TwistStamped", lambda found: self._go(found.twist)),
+            "cmd_base_height": ("std_msgs/msg/Float64", lambda found: stand(height_m=found.data)),
+            "roll_setpoint": ("std_msgs/msg/Float64", lambda found: stand(roll_rad=found.data)),
+            "pitch_setpoint": ("std_msgs/msg/Float64", lambda found: stand(pitch_rad=found.data)),
+            "cmd_gait_type": ("std_msgs/msg/Int32", lambda found: self._gait(found.data)),
         }
         for topic, (kind, take) in table.items():
-            most = MAX_TRAJECTORY_BYTES if topic == "joint_trajectory" else _MAX_BYTES
-            self.node.subscribe(topic, kind, most, partial(self._take, topic, take), partial(self.reject, topic))
+            self.node.subscribe(topic, kind, _MAX_BYTES, partial(self._take, topic, take), partial(self.reject, topic))
 
     def record_alive(self) -> None:
         """Record that the process is alive. Call it at least ten times a second: else messages count as old."""
         with self._lock:
             self._ages.record_alive(time.monotonic_ns())
 
-    def plan(self, message: Any) -> Trajectory:
-        """Read a JointTrajectory that begins now, or at its stamp. Raises JointsError if it cannot be followed."""
-        return Trajectory.read(message, self.joints, self.geometry, time.monotonic(), time.time_ns())
-
     # ---- one for each topic
 
-    def _joint_commands(self, message: Any, _: bytes) -> None:
+    def _joint_commands(self, message: Any) -> None:
         at_rad = of_joints("position", self.joints.servos(message.name), message.position)
         check_reach(self.geometry, at_rad)
         self.driving.joints(at_rad)
-
-    def _joint_trajectory(self, message: Any, sender: bytes) -> None:
-        if not message.points:
-            if not self.driving.drives:
-                raise NotTakenError(self.driving.does)
-            return self.driving.hold()
-        is_there = presence(sender, self._present)
-        if not is_there():
-            raise NotTakenError("its sender is not seen in the graph (any more), and could not take it back")
-        return self.driving.follow(self.plan(message), is_there)
 
     def _go(self, twist: Any) -> bool:
         velocity = Velocity.checked(twist.linear.x, twist.linear.y, twist.angular.z)
@@ -128,7 +109,7 @@ class Topics:
             rivals, now_s = self._rivals.get(topic), time.monotonic()
             if rivals is not None and not rivals.may_send(sender, now_s):
                 raise NotTakenError(f"another node publishes here, and is followed until it is silent for {SILENT_S} s")
-            if take(message, sender) is not False and rivals is not None:
+            if take(message) is not False and rivals is not None:
                 rivals.sent(sender, now_s)
         except (NotTakenError, ValueError) as error:
             self.reject(topic, str(error))

@@ -15,7 +15,7 @@ from gateway.people.recorder.messages import RecordedMessage
 from gateway.people.recorder.story import frames_in
 from gateway.people.ros2.commanded import UserAngles
 from gateway.people.ros2.messages import Imu, JointState, String, Time
-from gateway.people.ros2.received import SILENT_S, Rivals, presence, read_each
+from gateway.people.ros2.received import SILENT_S, Rivals, read_each
 from gateway.people.ros2.robot import MEASURED, description, frames, joint_state, measured, odometry, odometry_frame
 from gateway.people.walking.inverse import Limb
 from gateway.people.walking.motion import Odometry, Velocity
@@ -182,27 +182,7 @@ def test_what_cannot_be_written_is_reported() -> None:
 # ---- who sends
 
 
-A, B, C = b"a", b"b", b"c"
-
-
-@pytest.mark.parametrize(
-    ("sender", "before", "now", "there"),
-    [
-        (A, {A, B}, {A}, True),
-        (A, {A, B}, {B}, False),
-        (C, {A, B}, {A, B}, True),
-        (C, {A, B}, {B}, False),
-        (C, set(), {A}, False),
-    ],
-)
-def test_a_sender_that_is_not_seen_is_there_while_all_others_are(
-    sender: bytes, before: set[bytes], now: set[bytes], there: bool
-) -> None:
-    present = set(before)
-    is_there = presence(sender, lambda: present)
-    present.clear()
-    present.update(now)
-    assert is_there() is there
+A, B = b"a", b"b"
 
 
 def test_an_error_in_one_message_does_not_end_the_topic(caplog: pytest.LogCaptureFixture) -> None:

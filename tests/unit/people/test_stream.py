@@ -1,6 +1,5 @@
 """What a stream makes of a gateway's silence, its end and its watchdog, in virtual time: no thread, no gateway."""
 
-import time
 from collections.abc import Callable, Iterator, Mapping
 from datetime import timedelta
 from types import SimpleNamespace
@@ -13,8 +12,8 @@ from gateway.geometry import load
 from gateway.people.client.pace import SILENCE_S
 from gateway.people.client.stopped import AGAIN, DECIDES, STOP
 from gateway.people.client.stream import WHOLE, Stream
-from gateway.people.ros2.motions import STARTS_WHOLE, Following, JointCommands
-from gateway.people.ros2.trajectory import JointsError, Trajectory, Waypoint
+from gateway.people.ros2.joints import JointsError
+from gateway.people.ros2.motions import STARTS_WHOLE, JointCommands
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Ack, ControllerReport, Event, GatewayState, Kind, Mode, Reason, WireReport
 from tests.support.published import WALL, event, state
@@ -455,12 +454,3 @@ def test_joint_commands_start_all_legs_at_once_and_a_message_with_fewer_starts_n
     motion.command(ONE_LEG_RAD)  # what runs is not started again
     motion.end(sits=False)
     assert whole.asked == [("start", list(LEGS)), ("stop", list(LEGS))]
-
-
-def test_a_trajectory_without_all_joints_starts_nothing_and_leaves_the_robot_to_others(whole: Any) -> None:
-    motion = Following(whole, GEOMETRY)
-    with pytest.raises(JointsError, match=STARTS_WHOLE):
-        motion.follow(Trajectory((Waypoint(1.0, ONE_LEG_RAD),), time.monotonic()), lambda: True)
-    assert not motion.check(time.monotonic())
-    motion.end(sits=True)
-    assert whole.asked == []
