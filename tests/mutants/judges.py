@@ -96,7 +96,6 @@ JUDGES: Final = {
     "gateway/robot/blackbox/recorder.py": (*_CONDUCTOR, *_robot("incident_copies telemetry"), *_people("ring")),
     # rules of the people's wing, with the time as an argument
     "gateway/allowance.py": _tests("unit", "allowance"),
-    "gateway/people/ros2/own_stop.py": _people("ros2_own_stop times"),
     "gateway/people/client/confirmed_stop.py": _people("confirmed_stop stop_status console_pages times"),
     "gateway/people/client/pace.py": _people("client_times stream times"),
     "gateway/people/client/patience.py": _people("client_times times"),

@@ -42,7 +42,7 @@ PURE_FILES: Final = frozenset(
 ) | frozenset(f"simulation/{name}.py" for name in ("adapter", "board", "draw")) | frozenset(
     f"people/ros2/{name}.py"
     for name in (
-        "commanded", "joints", "messages", "own_stop", "parameters", "robot",
+        "commanded", "joints", "messages", "parameters", "robot",
     )
 )  # fmt: skip
 """In rooms that also do I/O."""

@@ -31,7 +31,7 @@ def ros2(
     drive: Annotated[bool, typer.Option("--drive", help="Drive at once, without a call of the service drive.")] = False,
     allow_reset: Annotated[
         bool,
-        typer.Option("--allow-reset", help="Let the service reset end any emergency stop, also a person's."),
+        typer.Option("--allow-reset", help="Let the service reset leave the emergency stop, also a person's."),
     ] = False,
     tf: Annotated[
         bool, typer.Option("--tf", help="Also publish /tf, for viewers without a robot_state_publisher.")
@@ -57,8 +57,7 @@ def ros2(
     It publishes joint_states, robot_description and diagnostics, and what the robot measures: battery_state,
     imu/data and temperature. After a call of its service drive it holds the lease and takes joint_commands, cmd_vel
     (cmd_vel_stamped), cmd_base_height, roll_setpoint, pitch_setpoint and cmd_gait_type. The service release ends
-    this. Everybody may call estop at any time. The service reset ends only an emergency stop that was engaged
-    through ROS while the node drove.
+    this. Everybody may call estop at any time. The service reset leaves the emergency stop only with --allow-reset.
     """
     from gateway.people.ros2 import run
     from gateway.people.ros2.parameters import Parameters

@@ -18,16 +18,12 @@ from gateway.people.client.blocking import Client
 from gateway.people.client.dangers import UNCONFIRMED, confirmed_off
 from gateway.people.client.lease import Lease
 from gateway.people.ros2.motions import DOES_NOT_STAND, JointCommands, Motion, Walking
-from gateway.people.ros2.own_stop import OwnStop
 from gateway.people.walking.motion import ORIGIN, Odometry, Velocity
 from schemas.telemetry import GatewayState, Mode, Reason
 
 NOBODY_DRIVES: Final = "nobody has called drive"
 NOT_ACTIVE: Final = "the node is not active yet"
-_NOT_OURS: Final = (
-    "this emergency stop did not come through ROS alone, or not while the bridge drove; leave it at the robot, or "
-    "start the bridge with --allow-reset"
-)
+NO_RESET: Final = "leave the emergency stop at the robot, or start the bridge with --allow-reset"
 M = TypeVar("M", JointCommands, Walking)
 
 
@@ -49,12 +45,10 @@ class Driving:
         self._motion: Motion | None = None
         self._estop = 0
         """The latest emergency stop's number when it began to drive."""
-        self._own = OwnStop()
         self._received: GatewayState | None = None
         self._gait = "tripod"
         self._went = ORIGIN
         """The odometry of all walks that have ended."""
-        self._held_as = name
         self._closed = False
         self._why_not = self._inactive = NOT_ACTIVE
         """Why nobody may drive; empty while driving is allowed."""
@@ -95,15 +89,12 @@ class Driving:
             lease = self._client.lease(source=self._name, on_lost=self._lost, on_asked=self._asked)
             lease.acquire()
             self._lease, self._estop, self._gait = lease, state.estop, "tripod"
-            self._own.drives(state, time.monotonic())
-            self._held_as = lease.holder
             self._show(f"drives as {lease.holder}")
             return f"drives as {lease.holder}"
 
     def release(self, *, sits: bool = True) -> str:
         """Sit down, stop the bridge's servos and give the lease back. Return a sentence. Raises GatewayError."""
         with self._lock:
-            self._own.forget()
             if self._lease is None:
                 return self._why_not
             try:
@@ -135,24 +126,19 @@ class Driving:
 
     def estop(self) -> str:
         """Engage the emergency stop without waiting for the lock. Return a sentence. Raises GatewayError."""
-        drove = self.drives
         ack = self._client.estop()
-        self._own.engaged(ack.estop, drove=drove)
         within = f"within {ack.latency_us:.0f} µs{confirmed_off(ack)}"
         unconfirmed = f". {UNCONFIRMED}" if ack.confirmed is False else ""
         return f"emergency stop {ack.estop}: {ack.stop_frames} Stop frames written {within}{unconfirmed}"
 
-    def reset(self, *, of_anybody: bool) -> str:
-        """Leave the emergency stop, unless a person may have engaged it too (`of_anybody`: even so).
+    def reset(self, *, allowed: bool) -> str:
+        """Leave the latest emergency stop, also a person's, if `allowed`. Return a sentence. Raises GatewayError.
 
-        Anybody who reaches ROS 2's graph may call this, and a person who has pressed a button relies on it.
-        Raises GatewayError.
+        All who reach ROS 2's graph may call this, and a person who has pressed a button relies on the Stop.
         """
-        state = self._client.state()
-        number = state.estop if of_anybody else self._own.may_leave(state, time.monotonic())
-        if number is None:
-            raise RejectedError(Reason.ESTOPPED, _NOT_OURS)
-        ack = self._client.reset(number)
+        if not allowed:
+            raise RejectedError(Reason.ESTOPPED, NO_RESET)
+        ack = self._client.reset(self._client.state().estop)
         if not ack.accepted:
             raise RejectedError(str(ack.reason), ack.detail or "")
         return "the emergency stop is left; nothing moves until it is started again"
@@ -207,8 +193,6 @@ class Driving:
                 state, self._received = self._received, None
                 if self._motion is None and self._lease is not None and state is not None:
                     self._check_estop(state)
-                if self._lease is None and state is not None and state.lease.holder not in (None, self._held_as):
-                    self._own.forget()  # who drives now has taken the robot over, with its emergency stop
             except GatewayError as error:
                 self._fail(error)
 

@@ -211,7 +211,7 @@ def serve(
             with suppress(UnansweredError):  # an older gateway has none
                 reports.joints.take(keys.CALIBRATION, client.calibration().model_dump(mode="json"))
             topics.subscribe()
-            node.serve("reset", partial(driving.reset, of_anybody=allow_reset))
+            node.serve("reset", partial(driving.reset, allowed=allow_reset))
             node.serve("drive", driving.drive)
             node.serve("release", driving.release)
             watch = threading.Thread(target=_watch, args=(ended, driving), name="watch the motion", daemon=True)

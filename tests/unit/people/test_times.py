@@ -9,14 +9,12 @@ from types import ModuleType
 import pytest
 
 from gateway.people.client import confirmed_stop, pace, patience, renewal, silence
-from gateway.people.ros2 import own_stop
 from gateway.people.walking import ride, words
 
 TIMES: dict[tuple[ModuleType, str], float] = {
     (confirmed_stop, "AGAIN_NS"): 100_000_000,
     (confirmed_stop, "REQUESTS_AT_ONCE"): 4,
     (confirmed_stop, "MAX_PRESSES"): 16,
-    (own_stop, "SAME_RUN_S"): 1.0,
     (pace, "LATE_PART"): 0.5,
     (pace, "RADIANS_S"): 1.0,
     (pace, "MOST_DEG"): 3.2,
