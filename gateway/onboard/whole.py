@@ -36,6 +36,11 @@ def version() -> str:
     return _dpkg("dpkg-query", "--show", "--showformat=${Version}")
 
 
+def status() -> str:
+    """Return what dpkg is to do with the package, and its state: "install half-configured"; "" without dpkg."""
+    return _dpkg("dpkg-query", "--show", "--showformat=${db:Status-Want} ${db:Status-Status}")
+
+
 def compare() -> Whole:
     """Compare every file of the package with dpkg's list; takes 1 to 2 s."""
     listed = set(_dpkg("dpkg-query", "--listfiles").splitlines())

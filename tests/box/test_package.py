@@ -15,6 +15,7 @@ from tests.box.package import BROKEN, LATE, LIBRARY, UNIT_FILE, Packages, Robot,
 pytestmark = pytest.mark.systemd
 
 RECONFIGURE = f"sudo dpkg-reconfigure {NAME}"
+CONFIGURE = "sudo dpkg --configure -a"
 
 
 @pytest.fixture(scope="module")
@@ -102,12 +103,81 @@ def test_a_release_that_does_not_start(robot: Robot, packages: Packages, release
     process = robot.unit.property("MainPID")
     said = install(robot.box, packages.make(release, change), check=False)
     if change is BROKEN:
-        assert f"{release} does not start with {CONFIGURATION} (above is why); nothing was changed" in said
+        assert (
+            f"{release} does not start: its trial with {CONFIGURATION} printed nothing\nSo the release before" in said
+        )
         assert robot.unit.property("MainPID") == process
     else:
-        assert f"{release} does not run: journalctl -u {NAME}. 1.1.0.kept runs again" in said
+        assert f"{release} does not run: journalctl -u {NAME} shows why. 1.1.0 runs again" in said
     robot.is_at_work("1.1.0")
     install(robot.box, packages.make("1.1.1"))
+    robot.is_at_work("1.1.1")
+
+
+def test_an_upgrade_that_fails_its_trial_is_finished_by_the_command_that_is_printed(
+    robot: Robot, packages: Packages
+) -> None:
+    """Also if it is typed too early. `--back` leads to the release before the one that runs, and forward again."""
+    box = robot.box
+    install(box, packages.make("1.1.1"))
+    robot.configure("watchdog.timeout_mz = 1\n")
+    said = [install(box, packages.make("1.2.2"), check=False), dpkg(box, *CONFIGURE.split()[1:], check=False)]
+    for each in said:
+        assert f"1.2.2 does not start: {CONFIGURATION}: watchdog.timeout_mz: is no setting\n" in each
+        assert (
+            f"So the release before this one goes on, and each apt command repeats this. Fix it, then: {CONFIGURE}"
+            in each
+        )
+    told = robot.gateway("check", check=False)
+    assert "timeout_mz: is no setting. So 1.1.1 goes on, and each apt command repeats the error → fix what is" in told
+    robot.configure("")
+    assert "go from 1.1.1 to 1.1.0, and" in robot.gateway("setup", "--back", check=False)
+    robot.is_at_work("1.1.0")
+    assert "go from 1.1.0 to 1.1.1, and" in robot.gateway("setup", "--back", check=False)
+    robot.is_at_work("1.1.1")
+    dpkg(box, *CONFIGURE.split()[1:])
+    robot.is_at_work("1.2.2")
+    assert "repeats the error" not in robot.gateway("check", check=False)
+
+
+def test_the_same_release_again_keeps_the_one_before(robot: Robot, packages: Packages) -> None:
+    box = robot.box
+    install(box, packages.make("1.1.1"))
+    install(box, packages.make("1.1.1"))
+    robot.is_at_work("1.1.1")
+    dpkg(box, *RECONFIGURE.split()[1:])
+    assert box.run("ls", LIBRARY).stdout.split() == ["1.1.0.kept", "1.1.1", "current"]
+    robot.gateway("setup", "--back", check=False)
+    robot.is_at_work("1.1.0")
+
+
+def test_a_removal_that_was_cut_off_is_undone_by_the_package(robot: Robot, packages: Packages) -> None:
+    """A service that somebody has stopped stays so, and the command that starts it is printed."""
+    box = robot.box
+    box.run("sh", "-c", f"echo 'kill -KILL $PPID' >>/var/lib/dpkg/info/{NAME}.prerm")
+    dpkg(box, "dpkg", "--remove", NAME, check=False)
+    told = robot.gateway("check", check=False)
+    assert "1.1.0 is only partly installed: dpkg was interrupted → sudo apt install ./hexapod-gateway_VERSION" in told
+    install(box, packages.make("1.1.0"))
+    robot.is_at_work("1.1.0")
+    robot.unit.systemctl("stop")
+    assert f"The service is stopped, as before. To start it: sudo systemctl start {NAME}" in install(
+        box, packages.make("1.1.0")
+    )
+    assert robot.unit.property("ActiveState") == "inactive"
+
+
+def test_a_full_disk_leaves_the_release_that_runs(robot: Robot, packages: Packages) -> None:
+    """The switch to another one happens whole, or not at all, and the printed command repeats it."""
+    box, process = robot.box, robot.unit.property("MainPID")
+    units, full = "/usr/lib/systemd/system", "/run/full"
+    box.run("sh", "-c", f"mkdir {full} && mount -t tmpfs -o size=8m tmpfs {full} && cp -a {units}/. {full}")
+    box.run("sh", "-c", f"cat /dev/zero >{full}/zero; mount --bind {full} {units}", check=False)
+    said = install(box, packages.make("1.1.1"), check=False)
+    assert "hexapod-gateway.service.new: No space left on device\nSo the release before" in said, said
+    assert (current(box), robot.unit.property("MainPID")) == ("1.1.0.kept", process)
+    box.run("umount", units)
+    dpkg(box, *CONFIGURE.split()[1:])
     robot.is_at_work("1.1.1")
 
 

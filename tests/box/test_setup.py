@@ -56,7 +56,7 @@ def test_from_the_package_to_a_robot_with_certificates_and_back(tmp_path: Path, 
 
         install(box, packages.make("1.1.1"))
         said = setup(box, "--back")
-        assert said[0] == "go back to the release before this one, and restart the service"
+        assert said[0] == "go from 1.1.1 to 1.1.0, and restart the service"
         assert box.run("readlink", f"{LIBRARY}/current").stdout == "1.1.0.kept\n", said
         assert unit.property("ActiveState") == "active"
         assert box.run(NAME, "status", *anna, check=False).returncode == 0

@@ -19,12 +19,13 @@ from typing import Final
 from gateway import certs
 from gateway.errors import ConfigError
 from gateway.host.mounts import FORGETS, mount_of
-from gateway.onboard import whole
+from gateway.onboard import release_switch, whole
 from gateway.onboard.check.table import LET_READ, RESTART, SERVICE, CheckedRobot, Result, failure, first, warning, well
 from gateway.onboard.setup.machine import has_wrong_rights
 
 GROUPS: Final = ("spi", "dialout", SERVICE)
 """Groups of the unit."""
+_NOT_CONFIGURED: Final = ("unpacked", "half-configured", "triggers-pending", "triggers-awaited")
 _STATE: Final = f"/var/lib/{SERVICE}"
 _LEAST_FREE_MB, _LEAST_INODES = 20, 100
 """Room for some calibrations and lists."""
@@ -94,12 +95,19 @@ def release(robot: CheckedRobot) -> Iterator[Result | None]:
                 f"sudo chown root:root {each} && sudo chmod u+rw,go+r,go-w {each} && {RESTART}"),
         warning(added, f"in the release, and not installed with it: {added}. Python may load it", f"sudo rm {every}"))
     link, process = robot.path(whole.CURRENT), robot.unit.get("MainPID", 0)
+    wanted, _, status = whole.status().partition(" ")
     if link.is_dir():
         loaded = re.search(rf"{whole.LIBRARY}/([^/\s]+)/", robot.text(f"/proc/{process}/maps"))
         current = link.resolve().name.removesuffix(".kept")
         runs, package = loaded[1].removesuffix(".kept") if loaded else current, package or current
         yield first("release",
-            warning(package != current, f"{package} is installed, but {current} runs until no servo runs",
+            failure(status == "half-installed" or wanted == "deinstall", f"{package} is only partly installed: dpkg "
+                    "was interrupted", _INSTALL),
+            failure(status in _NOT_CONFIGURED, f"{robot.text(release_switch.WHY) or f'{package} is {status}'}. So "
+                    f"{current} goes on, and each apt command repeats the error",
+                    f"fix what is named, then, with the robot stopped: {release_switch.CONFIGURE}"),
+            warning(package != current, f"{package} is installed, but {current} runs: the upgrade waits until no servo "
+                    "runs, or somebody went back",
                     f"stop the robot, then: sudo dpkg-reconfigure {SERVICE}"),
             warning(runs != current, f"the running service is {runs}, but {current} is installed",
                     f"stop the robot, then: sudo systemctl restart {SERVICE}"))

@@ -5,6 +5,7 @@ It changes only what differs, so it can run again at any time.
 
 import os
 import subprocess
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -29,7 +30,9 @@ def setup(machine: Machine, wanted: Wanted) -> int:
     """Set this machine up, and run `check`. Return the exit code. Raises GatewayError with one sentence."""
     try:
         if wanted.back:
-            machine.change("go back to the release before this one, and restart the service", _go_back)
+            current, release = release_switch.other()
+            to = release.name.removesuffix(".kept")
+            machine.change(f"go from {current} to {to}, and restart the service", partial(_go_back, release))
         else:
             _set_up(machine, wanted)
     except (OSError, subprocess.SubprocessError) as error:
@@ -61,6 +64,6 @@ def _set_up(machine: Machine, wanted: Wanted) -> None:
         service.start_console(machine)
 
 
-def _go_back() -> None:
-    if said := release_switch.go_back():
+def _go_back(release: Path) -> None:
+    if said := release_switch.go_back(release):
         say(said)

@@ -68,7 +68,7 @@ class Installed(CheckedRobot):
         for folder in (STATE, "run/systemd/system"):
             (root / folder).mkdir(parents=True)
         self.service = os.getuid(), os.getgid()
-        self.version, self.files = "1.1.0", Whole()
+        self.version, self.files, self.status = "1.1.0", Whole(), "install installed"
         self.unit: dict[str, str] = dict(UP)
 
     def drop_in(self, text: str) -> None:
@@ -112,7 +112,14 @@ PLANTED: tuple[tuple[Plant, str], ...] = (
     (lambda robot: setattr(robot, "files", Whole(changed=("/usr/a", "/usr/b"))), "not as installed: /usr/a, /usr/b"),
     (lambda robot: setattr(robot, "files", Whole(added=("/usr/a",))), "and not installed with it: /usr/a"),
     (lambda robot: setattr(robot, "files", Whole(closed=("/usr/a",))), "not readable by all"),
-    (lambda robot: setattr(robot, "version", "1.2.0"), "1.2.0 is installed, but 1.1.0 runs until no servo runs"),
+    (lambda robot: setattr(robot, "version", "1.2.0"), "1.2.0 is installed, but 1.1.0 runs: the upgrade waits"),
+    (
+        lambda robot: (setattr(robot, "status", "install half-configured"), robot.write(f"{LIBRARY}/failed", "no x")),
+        "no x. So 1.1.0 goes on",
+    ),
+    (lambda robot: setattr(robot, "status", "install unpacked"), "1.1.0 is unpacked. So 1.1.0 goes on"),
+    (lambda robot: setattr(robot, "status", "install half-installed"), "1.1.0 is only partly installed"),
+    (lambda robot: setattr(robot, "status", "deinstall half-configured"), "1.1.0 is only partly installed"),
     (
         lambda robot: robot.runs("", "7f-8a r-xp /usr/lib/hexapod-gateway/1.0.9.kept/x.so"),
         "the running service is 1.0",
@@ -528,6 +535,7 @@ def test_each_fault_of_an_installation_is_one_line(
     plant(robot)
     monkeypatch.setattr(whole, "compare", lambda: robot.files)
     monkeypatch.setattr(whole, "version", lambda: robot.version)
+    monkeypatch.setattr(whole, "status", lambda: robot.status)
     found = [each for each in results(robot, *AS_ROOT, installation.unit) if each.verdict is not Verdict.OK]
     lines = [each for each in found if each.name != "user" and "which a boot empties" not in each.sentence]
     assert len(lines) == bool(sentence), lines
