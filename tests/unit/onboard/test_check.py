@@ -75,6 +75,11 @@ class Installed(CheckedRobot):
         self.write(DROP_IN[1:], f"[Service]\n{text}\n")
         self.show(DropInPaths=DROP_IN)
 
+    def leave(self, status: str, why: str = "") -> str:
+        """Let dpkg show this of the package. Return `why`."""
+        self.status = status
+        return why
+
     def show(self, **properties: str) -> None:
         self.unit.update(properties)
 
@@ -114,12 +119,12 @@ PLANTED: tuple[tuple[Plant, str], ...] = (
     (lambda robot: setattr(robot, "files", Whole(closed=("/usr/a",))), "not readable by all"),
     (lambda robot: setattr(robot, "version", "1.2.0"), "1.2.0 is installed, but 1.1.0 runs: the upgrade waits"),
     (
-        lambda robot: (setattr(robot, "status", "install half-configured"), robot.write(f"{LIBRARY}/failed", "no x")),
+        lambda robot: robot.write(f"{LIBRARY}/failed", robot.leave("install half-configured", "no x")),
         "no x. So 1.1.0 goes on",
     ),
-    (lambda robot: setattr(robot, "status", "install unpacked"), "1.1.0 is unpacked. So 1.1.0 goes on"),
-    (lambda robot: setattr(robot, "status", "install half-installed"), "1.1.0 is only partly installed"),
-    (lambda robot: setattr(robot, "status", "deinstall half-configured"), "1.1.0 is only partly installed"),
+    (lambda robot: robot.leave("install unpacked"), "1.1.0 is unpacked. So 1.1.0 goes on"),
+    (lambda robot: robot.leave("install half-installed"), "1.1.0 is only partly installed"),
+    (lambda robot: robot.leave("deinstall half-configured"), "1.1.0 is only partly installed"),
     (
         lambda robot: robot.runs("", "7f-8a r-xp /usr/lib/hexapod-gateway/1.0.9.kept/x.so"),
         "the running service is 1.0",
