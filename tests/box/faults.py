@@ -110,7 +110,8 @@ FAULTS = (
         "a damaged calibration",
         "echo '{' >$state/calibration.toml; chown $service $state/calibration.toml; systemctl restart $service",
         "nothing can be started",
-        by_hand="hexapod-gateway calibrate accept-default --yes --zenoh-config /root/certs/anna.json5",
+        by_hand='echo \'{"revision": 0, "servos": {}, "landing": {}}\' | '
+        "hexapod-gateway calibrate import - --yes --zenoh-config /root/certs/anna.json5",
         then="rm $state/calibration.toml; systemctl restart $service",
     ),
     # the device

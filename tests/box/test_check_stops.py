@@ -27,7 +27,7 @@ def test_the_service_is_killed_and_its_stops_are_counted(robot: InstalledGateway
     assert len(outside) == 24
     assert set(outside) == STOPS
     assert {t.data for t in robot.bed.transfers if t.opening > before + 4} == STOPS, "and of the new start"
-    shown = robot.gateway("calibrate", "show")
+    shown = robot.gateway("calibrate", "export")
     robot.box.run("sh", "-c", f"rm /var/lib/{NAME}/calibration*")  # it is the service's own folder that keeps it
-    assert "revision 1" in shown
-    assert "+5" in shown
+    assert '"revision": 1' in shown
+    assert '"trim_deg": 5' in shown

@@ -15,15 +15,18 @@ from gateway.client import Client
 from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.model.frames import decode
 from gateway.people.commands.calibration import NotKeptYetError, once_kept
+from gateway.robot.core.calibrating import UNTIL_TRUSTED
 from gateway.robot.runtime import calibrations
 from schemas import keys
-from schemas.calibration import Calibration, ServoChange
+from schemas.calibration import Calibration, ServoCalibration, ServoChange
 from schemas.telemetry import Ack, Mode, Reason
 from tests.support.fixtures import client_fixture
 from tests.support.gateway_process import Gateway
 from tests.support.heard import Heard, events, frames
 
 MIRRORED = {31: ServoChange(trim_deg=7.5), 32: ServoChange(trim_deg=-10, inverted=True), 33: ServoChange(max_deg=140)}
+
+TRIMMED = {"11": ServoCalibration(trim_deg=3)}
 
 
 @pytest.fixture(scope="module")
@@ -79,11 +82,9 @@ def test_on_a_file_system_that_a_boot_empties_it_does_not_count_as_kept(tmp_path
             first.child.wait_for_output(f"{folder} is on tmpfs, which a boot empties")
             assert client.calibrate({11: ServoChange(trim_deg=2)}).accepted
             assert client.state().calibration.kept is False
-            shown = first.run("calibrate", "show")
-            assert "revision 1, until the next boot only" in shown.stderr
-            assert (
-                "The calibration is lost at the next boot" in first.run("calibrate", "set", "11", "--trim", "3").stderr
-            )
+            file = tmp_path / "robot.json"
+            file.write_text(client.calibration().model_copy(update={"servos": TRIMMED}).model_dump_json())
+            assert "is lost at the next boot" in first.run("calibrate", "import", str(file), "--yes").stderr
         with Gateway(tmp_path, settings) as again, again.client() as client:
             assert client.calibration().servos["11"].trim_deg == 3
 
@@ -120,7 +121,6 @@ def test_what_was_exported_comes_back_whole(gateway: Gateway, client: Client, tm
     assert client.calibrate({51: ServoChange(trim_deg=2, inverted=True)}, {51: 30}).accepted
     file = tmp_path / "robot.json"
     file.write_text(gateway.run("calibrate", "export").stdout)
-    assert gateway.run("calibrate", "show", "--json").stdout == file.read_text()
     before = client.calibration()
     assert client.calibrate(
         {51: ServoChange(trim_deg=0, inverted=False), 52: ServoChange(trim_deg=9)}, {51: None}
@@ -186,27 +186,28 @@ def test_no_stop_waits_for_a_disk_that_hangs(tmp_path: Path) -> None:
     assert kept.of(31).trim_cdeg == 7_50
 
 
-def test_a_broken_file_starts_nothing_until_a_person_takes_the_default(tmp_path: Path) -> None:
-    path = tmp_path / "calibration.toml"
+def test_a_broken_file_starts_nothing_until_a_person_imports_a_good_one(tmp_path: Path) -> None:
+    good, path = tmp_path / "good.json", tmp_path / "calibration.toml"
     text = calibrations.to_toml(OWN).partition("\n[servos.21]")[0]
     calibrations.write(path, RobotCalibration(3))
     calibrations.write(path, OWN)
     path.write_text(text)
     with Gateway(tmp_path, {"state": {"path": str(tmp_path)}}) as gateway, gateway.client() as client:
         logged = gateway.child.wait_for_output("nothing is started until")
-        assert "hexapod-gateway calibrate accept-default" in logged
+        assert f"{UNTIL_TRUSTED}: hexapod-gateway calibrate" in logged
         state = client.state()
         assert (state.mode, state.calibration.revision) == (Mode.IDLE, 4)
         assert str(state.calibration.fault).startswith(f"{path}: the last line is not of_revision = 4")
         assert path.read_text() == text, "a person may want to look at it"
-        asked = gateway.run("calibrate", "accept-default")
-        assert (asked.returncode, f"{path}: the last line is not" in asked.stdout) == (1, True)
         landing = gateway.run("calibrate", "landing", "--yes")
-        assert (landing.returncode, "calibrate accept-default" in landing.stdout) == (1, True)
-        assert gateway.run("calibrate", "accept-default", "--yes").returncode == 0
+        assert (landing.returncode, "accept the default in the guide" in landing.stdout) == (1, True)
+        good.write_text(Calibration(revision=0, servos=TRIMMED, landing={}).model_dump_json())
+        asked = gateway.run("calibrate", "import", str(good))
+        assert (asked.returncode, f"{path}: the last line is not" in asked.stdout) == (1, True)
+        assert gateway.run("calibrate", "import", str(good), "--yes").returncode == 0
         assert client.state().calibration.fault is None
         assert client.start_leg(1, 90, 90, 90).accepted
         kept = calibrations.read(path)
         assert kept is not None
-        assert (kept.revision, kept.servos) == (5, {})
+        assert (kept.revision, kept.servos) == (5, {11: ServoMapping(3_00)})
         assert path.with_name("calibration.broken.toml").read_text() == text

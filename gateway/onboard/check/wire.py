@@ -21,7 +21,6 @@ from gateway.model.frames import ONE_LEG_LEN, Framing
 from gateway.onboard import computer
 from gateway.onboard.check.table import RESTART, CheckedRobot, Result, Row, failure, first, warning, well
 from gateway.own_command import command
-from gateway.robot.core.calibrating import ACCEPT_DEFAULT
 from gateway.robot.power.interface import BITRATE, open_bus
 from gateway.robot.runtime.calibrations import CALIBRATION_FILE, load
 from gateway.robot.spi import outside
@@ -159,7 +158,7 @@ def calibration(robot: CheckedRobot) -> Iterator[Result | None]:
         yield first("calibration",
             warning(fault and denied, f"you may not read {path}", "sudo hexapod-gateway check"),
             failure(fault, f"{fault}; nothing can be started",
-                    f"restore a good file and restart, or, if the robot is as drawn: {command(ACCEPT_DEFAULT)}"),
+                    f"restore a good file and restart, or import one, or accept the default: {command('calibrate')}"),
             well(f"revision {found.revision}, servos that differ: {len(found.servos)} ({path})"))
 
 

@@ -1,4 +1,4 @@
-"""The commands of `calibrate`: each shows the calibration, or changes it once."""
+"""The commands of `calibrate` for scripts: export and import the calibration, and record the landing pose."""
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -18,41 +18,12 @@ from gateway.people.commands.reach import Connection
 from gateway.people.terminal import NOBODY, ask, hint, say
 from schemas import calibration as wire
 from schemas import keys
-from schemas.robot import SERVO_IDS
 from schemas.telemetry import Ack, CalibrationReport, GatewayState, Reason
 
 WAIT_S: Final = 60.0
 """How long to wait for the driver to hand over, or to end."""
 _MOST_BYTES: Final = 64 * 1024
 """Limit of an imported file; a whole calibration takes 2 kB."""
-_HEAD: Final = "servo      trim  direction     lowest   highest    landing"
-
-
-def show(connect: Connection) -> int:
-    """Print the calibration in force. Returns the exit code."""
-    with connect() as client:
-        report, calibration = client.state().calibration, calibration_of(client.calibration())
-    hint(f"{_about(report, calibration)}; the angles are those of commands, in degrees")
-    say(_HEAD)
-    for servo_id in SERVO_IDS:
-        landing_cdeg = calibration.landing_cdeg.get(servo_id)
-        say(f"{servo_id:5}  {_row(calibration.of(servo_id))}  {_angle(landing_cdeg)}".rstrip())
-    return 0
-
-
-def set_servo(connect: Connection, servo_id: int, wanted: Mapping[str, float | bool | None]) -> int:
-    """Change one servo's values that are not None. Returns the exit code. Raises ConfigError for a bad value."""
-    if servo_id not in SERVO_IDS:
-        raise ConfigError(f"servo {servo_id} does not exist; an id is the leg and the joint, such as 32")
-    named = {name: value for name, value in wanted.items() if value is not None}
-    if not named:
-        raise ConfigError("name what to change: --trim, --inverted, --as-drawn, --min or --max")
-    try:
-        change = wire.ServoChange.model_validate(named)
-    except ValidationError as error:
-        raise ConfigError(_faults(error)) from error
-    with connect() as client:
-        return _change(client, f"servo {servo_id} is changed", client.state(), calibration_payload({servo_id: change}))
 
 
 def export(connect: Connection) -> int:
@@ -73,10 +44,12 @@ def import_file(connect: Connection, file: Path, *, agreed: bool) -> int:
         raise ConfigError(f"{file} is not a calibration as `calibrate export` prints it: {why}") from error
     with connect() as client:
         state, now = client.state(), calibration_of(client.calibration())
-        changed = changed_servos(now, wanted)
-        if not changed and now.landing_cdeg == wanted.landing_cdeg:
+        changed, fault = changed_servos(now, wanted), state.calibration.fault
+        if fault is None and not changed and now.landing_cdeg == wanted.landing_cdeg:
             say(f"there is nothing to change: {_about(state.calibration, now)}")
             return 0
+        if fault is not None:
+            say(f"{fault}; the file is replaced")
         for servo_id in changed:
             say(f"{servo_id:5}  {_row(now.of(servo_id))}  becomes  {_row(wanted.of(servo_id))}".rstrip())
         if not agreed and not _agree("Is this the calibration of this robot?"):
@@ -84,7 +57,7 @@ def import_file(connect: Connection, file: Path, *, agreed: bool) -> int:
         servos = {name: change_of(wanted.of(name)) for name in changed}
         lands = {name: wanted.landing_cdeg.get(name) for name in now.landing_cdeg.keys() | wanted.landing_cdeg.keys()}
         landing_deg = {name: None if cdeg is None else cdeg / 100 for name, cdeg in lands.items()}
-        payload = calibration_payload(servos, landing_deg, revision=now.revision)
+        payload = calibration_payload(servos, landing_deg, revision=now.revision, accept_default=fault is not None)
         return _change(client, f"the calibration is that of {file}", state, payload)
 
 
@@ -126,8 +99,7 @@ def landing(connect: Connection, legs: Sequence[int], *, agreed: bool) -> int:
         if state.calibration.fault is not None:
             say(
                 f"the robot's calibration cannot be used, so no servo starts: {state.calibration.fault}. "
-                "Restore a good file and restart the service, or continue without any trim: "
-                f"{command('calibrate accept-default')}"
+                f"Import a good one, or accept the default in the guide: {command('calibrate')}"
             )
             return 1
         stand = standing(state, legs)
@@ -150,25 +122,6 @@ def landing(connect: Connection, legs: Sequence[int], *, agreed: bool) -> int:
     return code
 
 
-def accept_default(connect: Connection, *, agreed: bool) -> int:
-    """Use the default if the kept calibration cannot be used. Returns the exit code."""
-    with connect() as client:
-        state = client.state()
-        fault = state.calibration.fault
-        if fault is None:
-            say(f"there is nothing to accept: {_about(state.calibration, calibration_of(client.calibration()))}")
-            return 0
-        say(fault)
-        hint(
-            "The default has no trim, no inverted servo and the full range. On a robot that is built differently, "
-            "servos then go to wrong angles. The default replaces the file."
-        )
-        if not agreed and not _agree("Is every servo of this robot as drawn, or will you calibrate it again?"):
-            return 1
-        payload = calibration_payload(accept_default=True)
-        return _change(client, "the default calibration is in force", state, payload)
-
-
 class NotKeptYetError(GatewayError):
     """The gateway runs, but has not answered a change: its disk is slow, or hangs."""
 
@@ -181,7 +134,7 @@ def once_kept(client: Client, change: Callable[[], Ack]) -> Ack:
         client.state()  # raises if nobody answers
         raise NotKeptYetError(
             "the gateway runs, but its disk has not written the change yet. See in a few seconds if it is in force "
-            f"({command('calibrate show')}). If the disk hangs, a second try reports that"
+            f"({command('calibrate export')}). If the disk hangs, a second try reports that"
         ) from error
 
 
@@ -230,8 +183,6 @@ def _when_free(client: Client, payload: Mapping[str, Any]) -> Ack:
 
 
 def _about(report: CalibrationReport, calibration: RobotCalibration) -> str:
-    if report.fault is not None:
-        return f"NOT TRUSTED ({report.fault}), so nothing can be started"
     kept = "kept on the robot" if report.kept else "until the next boot only"
     return f"revision {calibration.revision}, {kept}"
 

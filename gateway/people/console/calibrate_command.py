@@ -6,7 +6,7 @@ from typing import Annotated, Final
 
 import typer
 
-from gateway.people.commands.options import JsonOption, Reach, reaches
+from gateway.people.commands.options import Reach, reaches
 
 _SOURCE: Final = "hexapod-gateway calibrate"
 app = typer.Typer(
@@ -33,40 +33,6 @@ def guide(*, context: typer.Context, reach: Reach) -> None:
 
 @app.command()
 @reaches
-def show(*, reach: Reach, as_json: JsonOption = False) -> None:
-    """Print the calibration in force, all 18 servos."""
-    from gateway.people.commands import calibration
-
-    print_it = calibration.export if as_json else calibration.show
-    sys.exit(print_it(reach.connection(_SOURCE)))
-
-
-@app.command("set")
-@reaches
-def set_servo(
-    *,
-    servo: Annotated[int, typer.Argument(metavar="SERVO", help="The leg and the joint, such as 32.")],
-    trim: Annotated[
-        float | None, typer.Option("--trim", metavar="DEG", help="Added to each angle on the wire, -90 to 90.")
-    ] = None,
-    inverted: Annotated[
-        bool | None, typer.Option("--inverted/--as-drawn", help="The direction in which it turns.", show_default=False)
-    ] = None,
-    lowest: Annotated[float | None, typer.Option("--min", metavar="DEG", help="Its lowest angle in commands.")] = None,
-    highest: Annotated[
-        float | None, typer.Option("--max", metavar="DEG", help="Its highest angle in commands.")
-    ] = None,
-    reach: Reach,
-) -> None:
-    """Change the given values of one servo. The servo must not run."""
-    from gateway.people.commands import calibration
-
-    wanted = {"trim_deg": trim, "inverted": inverted, "min_deg": lowest, "max_deg": highest}
-    sys.exit(calibration.set_servo(reach.connection(_SOURCE), servo, wanted))
-
-
-@app.command()
-@reaches
 def export(reach: Reach) -> None:
     """Print the whole calibration as JSON, for `import` and for programs."""
     from gateway.people.commands import calibration
@@ -82,7 +48,7 @@ def import_file(
     yes: YesOption = False,
     reach: Reach,
 ) -> None:
-    """Replace the whole calibration with a file. Servos that the file does not name become as drawn."""
+    """Replace the whole calibration, also a broken one, with a file. Servos that it does not name become as drawn."""
     from gateway.people.commands import calibration
 
     sys.exit(calibration.import_file(reach.connection(_SOURCE), file, agreed=yes))
@@ -95,12 +61,3 @@ def landing(*, leg: LegOption = None, yes: YesOption = False, reach: Reach) -> N
     from gateway.people.commands import calibration
 
     sys.exit(calibration.landing(reach.connection(_SOURCE), leg or [], agreed=yes))
-
-
-@app.command("accept-default")
-@reaches
-def accept_default(*, yes: YesOption = False, reach: Reach) -> None:
-    """Replace a broken or foreign calibration file with the default: all servos as drawn."""
-    from gateway.people.commands import calibration
-
-    sys.exit(calibration.accept_default(reach.connection(_SOURCE), agreed=yes))

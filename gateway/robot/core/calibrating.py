@@ -7,8 +7,8 @@ it.
 A servo's calibration must not change while the servo runs: the servo would jump at the next frame. So a change is
 rejected if one of its servos runs or waits to be started, and none of them can be started until it is in force.
 
-If the calibration file cannot be read (`fault`), nothing moves until a person takes the default calibration as this
-robot's: with a wrong trim or direction, a leg would move to an angle that was not commanded.
+If the calibration file cannot be read (`fault`), nothing moves until a person accepts the default
+calibration, or imports a good one: with a wrong trim or direction, a leg would move to an angle that was not commanded.
 """
 
 from typing import Any, Final
@@ -29,9 +29,9 @@ from gateway.robot.core.legs import Legs
 from schemas.calibration import CalibrationCommand
 from schemas.telemetry import Kind, Reason
 
-ACCEPT_DEFAULT: Final = "calibrate accept-default"
-"""The command for a calibration that cannot be trusted."""
-_UNTRUSTED: Final = f"{{}}; nothing is started until `{ACCEPT_DEFAULT}` takes the default calibration as this robot's"
+UNTIL_TRUSTED: Final = "until a good calibration is imported, or the default accepted"
+"""What a person does about a calibration that cannot be trusted, by the command `calibrate`."""
+_UNTRUSTED: Final = f"{{}}; nothing is started {UNTIL_TRUSTED}, by `calibrate`"
 
 
 class Calibrating(Interlock[Calibrate | CalibrationSaved]):

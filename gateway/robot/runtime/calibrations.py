@@ -22,7 +22,7 @@ from gateway import durable, nesting
 from gateway.errors import ConfigError
 from gateway.model.calibration import RobotCalibration, changed, report_of
 from gateway.own_command import command
-from gateway.robot.core.calibrating import ACCEPT_DEFAULT
+from gateway.robot.core.calibrating import UNTIL_TRUSTED
 from gateway.robot.core.events import Calibrate, CalibrationSaved, SaveCalibration
 from gateway.robot.core.message import Reply
 from gateway.robot.core.rejections import explain, name_given_twice
@@ -70,7 +70,7 @@ class Calibrations(RequestAnswers):
             calibration, fault = load(folder.path / CALIBRATION_FILE)
             self._calibrating.load(calibration, fault)
             if fault is not None:
-                logger.warning("%s; nothing is started until `%s`", fault, command(ACCEPT_DEFAULT))
+                logger.warning("%s; nothing is started %s: %s", fault, UNTIL_TRUSTED, command("calibrate"))
 
     def publish(self) -> None:
         """Publish and record the calibration in force."""

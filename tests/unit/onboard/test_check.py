@@ -454,7 +454,7 @@ SCENES = (
     Scene("calibration", kept(RobotCalibration()), "ok calibration: revision 0, servos that differ: 0 ("),
     Scene("calibration", kept(RobotCalibration(3, {11: ServoMapping(5_00)})), "revision 3, servos that differ: 1 ("),
     Scene("calibration", kept("trim = 7\n"), "failure … version is None; this gateway reads 1; nothing can be started "
-          "→ … hexapod-gateway calibrate accept-default"),
+          "→ … hexapod-gateway calibrate"),
     Scene("calibration", kept("trim = 7\n"), "warning … you may not read /", patch=DENIED),
     Scene("power board", here()),
     Scene("power board", here(power={"interface": "slcan", "channel": "/none"}), "/none: No such file … → plug"),

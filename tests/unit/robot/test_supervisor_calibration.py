@@ -8,6 +8,7 @@ from typing import Final
 import pytest
 
 from gateway.model.calibration import RobotCalibration, ServoMapping
+from gateway.robot.core.calibrating import UNTIL_TRUSTED
 from gateway.robot.core.events import CalibrationSaved
 from gateway.robot.core.leg import Rules
 from tests.support.scenes import Scenes, play, scene_test
@@ -113,7 +114,7 @@ def test_an_answer_that_nobody_waits_for_changes_nothing(number: int) -> None:
 
 
 def test_nothing_starts_by_a_calibration_that_cannot_be_read() -> None:
-    why = f"{BROKEN}; nothing is started until `calibrate accept-default` takes the default calibration as this robot's"
+    why = f"{BROKEN}; nothing is started {UNTIL_TRUSTED}, by `calibrate`"
     Scenes(fault=BROKEN).play(f"""
         0.5 servo 11 start 90 → rejected 1 servo_stopped
         says {why}
