@@ -28,7 +28,7 @@ help:
 	@echo "make soak     an hour of mixed traffic at ten times the real rate: does anything drift?"
 	@echo "make mutants  small faults in the files that keep the robot safe, one at a time: does a test fail for each?"
 	@echo "              (MUTANTS=\"spi zenoh_io\": only files whose name has one of these in it)"
-	@echo "make docs     all pages and the Python API as one searchable site, in build/docs; fails on a broken link"
+	@echo "make docs     the pages of docs/ and the Python API as one searchable site, in build/docs; fails on a broken link"
 	@echo "make schemas  write schemas/json/ anew, and what docs/ has of the settings"
 	@echo "make format   let ruff format"
 	@echo "make deb      the package for a robot, in dist/ (for a Pi, from another machine: make deb FOR=arm64)"
@@ -79,7 +79,7 @@ mutants: $(VENV)/dev
 	$(BIN)/python -m tests.mutants $(MUTANTS)
 
 docs: $(VENV)/dev
-	@$(BIN)/python -m release.docs_site
+	@$(BIN)/python -m zensical build --strict --clean --config-file mkdocs.yml
 	@echo "open build/docs/index.html; with its search: $(BIN)/python -m http.server --bind 127.0.0.1 --directory build/docs"
 
 schemas: $(VENV)/dev
