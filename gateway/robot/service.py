@@ -257,7 +257,7 @@ class _Service:
                     self.loop.call_exception_handler({"message": "the start failed", "exception": error})
             self.notifier.stopping(anew=end.starts_anew)
             deadline = self.loop.time() + SHUTDOWN_S
-            await stop_the_robot(conductor)
+            end.stopped = await stop_the_robot(conductor)
         finally:
             with self.owner:
                 conductor.close()

@@ -4,6 +4,7 @@ Afterwards the robot stands, whatever was under way has been rejected, and whoev
 """
 
 import errno
+import signal
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
@@ -13,6 +14,7 @@ from typing import Any
 import pytest
 
 from gateway.client import Client
+from gateway.errors import SpiError
 from schemas import keys
 from schemas.telemetry import Ack, Event, Kind, Mode, Reason, WatchdogState
 from tests.hil.bed import SpiTestbed, Transfer
@@ -102,6 +104,17 @@ def test_the_device_vanishes_and_comes_back(tmp_path: Path, wire: Wire) -> None:
         transfers = at.recovered()
         assert transfers[0].errno == errno.ESHUTDOWN
         at.goes_on()
+
+
+def test_an_end_without_a_device_says_so_and_has_the_exit_code_of_the_device(tmp_path: Path, wire: Wire) -> None:
+    with scene(tmp_path, wire) as at:
+        wire.bed.remove_node()
+        at.gateway.child.send_signal(signal.SIGTERM)
+        ending = at.heard.wait(lambda event: event.kind is Kind.STOPPING)
+        assert "could not be written" in ending.detail
+        assert at.gateway.child.wait(LATE_S) == SpiError.exit_code
+        wire.bed.restore_node()
+        assert not [each for each in wire.skip() if each.delivered], "no Stop has left"
 
 
 # ---- the emergency stop

@@ -98,7 +98,8 @@ class Scenes:
         """
         now_ns = _ns(at_ms)
         instant_ns = None if self.instant_ms is None else _ns(self.instant_ms)
-        self.effects = self.supervisor.step(event, now_ns, instant_ns)
+        found = self.supervisor.step(event, now_ns, instant_ns)
+        self.effects = [_written(each) if isinstance(each, events.Announce) else each for each in found]
         self.oracle.judge(event, now_ns, self.effects, self.supervisor, instant_ns)
         return [said(effect) for effect in spelled_out(self.effects) if effect not in self.joining]
 
@@ -200,6 +201,13 @@ class Scenes:
     @property
     def running(self) -> list[int]:
         return [servo.servo_id for servo in self.supervisor.legs.servos.values() if servo.running]
+
+
+def _written(event: events.Announce) -> events.Announce:
+    """Return an event whose step's frames are written."""
+    found = event.outcome((), None)
+    assert found is not None
+    return found
 
 
 def play(scene: str) -> Scenes:

@@ -78,4 +78,4 @@ class BodyLimits(Interlock[BodyMeasured]):
         self.down = Down("the body is tilted", self.beyond_ns + tilt_ns)
         then = self._how_it_comes_down()
         detail = f"the body has been tilted beyond {limit_cdeg / 100:g} degrees for {tilt_ns / NS_PER_MS:g} ms"
-        return [Announce(Kind.FALLEN, f"{detail}; {then}" if then else detail, legs=ALL_LEGS if then else ())]
+        return [Announce(Kind.FALLEN, detail, legs=ALL_LEGS if then else (), done=then)]

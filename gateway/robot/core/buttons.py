@@ -170,8 +170,7 @@ class Buttons(Interlock[ButtonRequest]):
     def _changed(self, kind: Kind, what: str, name: str, at_ns: int, key: str | None = keys.BUTTON) -> list[Effect]:
         """Return the event of a change to one button; it names the legs that stop because of the change."""
         then = self._how_it_comes_down() if self._count_alive(at_ns) else ""
-        detail = f"{what}; {self._count()}{f'; {then}' if then else ''}"
-        return [Announce(kind, detail, name, key, ALL_LEGS if then else ())]
+        return [Announce(kind, f"{what}; {self._count()}", name, key, ALL_LEGS if then else (), done=then)]
 
     def _count_alive(self, at_ns: int | None) -> bool:
         """Count the buttons that are alive. Return whether they have just become too few. None: at the beginning."""

@@ -1,14 +1,16 @@
 """The supervisor's inputs (events) and outputs (effects)."""
 
-from collections.abc import Iterable, Sequence
-from dataclasses import KW_ONLY, dataclass, field
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Final, Literal, final
 
 from gateway.model.black_box import ACCEPTED, COALESCED
 from gateway.model.calibration import RobotCalibration
 from gateway.model.frames import OP_STOP, Frame, ServoOp
 from gateway.robot.core.message import Reply, Verb, value
+from gateway.text import legs_named
 from schemas.calibration import CalibrationCommand
+from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Reason
 
 Targets = tuple[tuple[int, ServoOp], ...]
@@ -282,14 +284,31 @@ class Rejected:
 
 @value
 class Announce:
-    """An event to publish. `legs` are those concerned, ascending."""
+    """An event to publish. `legs` are those concerned, ascending; none: all, or no leg in particular."""
 
     kind: Kind
-    detail: str
+    detail: str = ""
+    """What is so whether or not the step's frames can be written. Without it, there is no event if the bus fails."""
     source: str | None = None
     key: str | None = None
     legs: tuple[int, ...] = ()
     reason: Reason | None = None
+    done: str = ""
+    """What the step's frames for these legs do. It follows `detail` once they are written."""
+
+    def outcome(self, unwritten: Collection[int], fault: object) -> "Announce | None":
+        """Return the event after its step, or None if there is none.
+
+        `fault`: of the bus in this step, for which the legs `unwritten` did not get all their frames.
+        """
+        if not self.done:
+            return self
+        if not self.detail and fault is not None:
+            return None
+        done, failed = self.done, sorted(set(unwritten) & set(self.legs or LEGS))
+        if failed:
+            done = f"frames for {legs_named(failed)} could not be written: {fault}"
+        return replace(self, detail=f"{self.detail}; {done}" if self.detail else done, done="")
 
 
 @value

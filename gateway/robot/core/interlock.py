@@ -100,5 +100,5 @@ class Interlock(Generic[Own]):
         if now_ns >= ends_ns or not self._legs.running:
             return []
         dropped = self._legs.begin_landing(now_ns, ends_ns)
-        detail = f"{why}; the robot lands, and is stopped {self._rules.landing_ns / NS_PER_MS:g} ms later"
-        return [*dropped, Announce(Kind.LANDING, detail, legs=ALL_LEGS)]
+        done = f"the robot lands, and is stopped {self._rules.landing_ns / NS_PER_MS:g} ms later"
+        return [*dropped, Announce(Kind.LANDING, why, legs=ALL_LEGS, done=done)]

@@ -45,10 +45,10 @@ class Latch(Interlock[EmergencyStop | Reset | EstopKept]):
                 first = self.since_ns is None
                 self.number += 1
                 self.since_ns = legs.instant_ns  # not now: a reset of the same instant may be older
-                detail = "emergency stop; all commands are rejected until a reset"
+                detail, done = "emergency stop; all commands are rejected until a reset", "all six legs are stopped"
                 if not legs.sends:
-                    detail += "; the SPI bus does not answer, and the Stop frames follow as soon as it does"
-                return [Announce(Kind.ESTOP_ENGAGED, detail, event.source, event.key)] if first else []
+                    done = "the SPI bus does not answer, and the Stop frames follow as soon as it does"
+                return [Announce(Kind.ESTOP_ENGAGED, detail, event.source, event.key, done=done)] if first else []
 
     def _leave(self, reset: Reset, instant_ns: int) -> list[Effect]:
         why_not = self._why_not_left(reset.estop, instant_ns)

@@ -141,8 +141,9 @@ class RobotLease(Interlock[LeaseRequest]):
         dropped = legs.drop(legs.servos.values(), Reason.NOT_HOLDER, f"{name} has acquired the lease")
         kind = Kind.LEASE_TAKEN if taken and before is not None else Kind.LEASE_ACQUIRED
         what = "acquired the lease" if kind is Kind.LEASE_ACQUIRED else f"taken the lease from {before}"
-        detail = f"{name} has {'stopped all legs and ' if taken else ''}{what}"
-        return [*dropped, Announce(kind, detail, name, keys.LEASE), RequestAnswer(token=self._token)]
+        done = "all six legs are stopped" if taken and legs.sends else ""
+        change = Announce(kind, f"{name} has {what}", name, keys.LEASE, done=done)
+        return [*dropped, change, RequestAnswer(token=self._token)]
 
     # ----
 

@@ -280,7 +280,7 @@ class Supervisor:
         if recovered:
             of_bus, self._fault = self._fault is Kind.BUS_FAULT, Kind.BUS_FAULT
             who, kind = ("SPI bus", Kind.BUS_RECOVERED) if of_bus else ("controller", Kind.CONTROLLER_RETURNED)
-            effects.append(Announce(kind, f"the {who} answers again; all servos are stopped"))
+            effects.append(Announce(kind, done=f"the {who} answers again; all servos are stopped"))
         return effects
 
     def _bus_failed(self, event: BusFailed) -> list[Effect]:  # mutants accepted (Forget): done twice on purpose
@@ -302,8 +302,8 @@ class Supervisor:
         self.legs.rest.runs = 0
         self.lease.end()
         sends = self.legs.sends
-        stopped = "all servos are stopped" if sends else "the SPI bus does not answer, so no Stop can be sent"
-        announcement = Announce(Kind.STOPPING, f"the gateway ends; {stopped}")
+        done = "all servos are stopped" if sends else "the SPI bus does not answer, so no Stop can be sent"
+        announcement = Announce(Kind.STOPPING, "the gateway ends", done=done)
         return [*self._stop_all(Halt(Cause.SHUTDOWN, Reason.STOPPING, _STOPPING), now_ns), announcement]
 
     def _stop_all(self, halt: Halt, now_ns: int) -> list[Effect]:  # mutants accepted (Forget): done twice on purpose

@@ -38,10 +38,11 @@ class Watchdog(Interlock[Never]):
                 return []
             due = dict.fromkeys(legs.by_number, legs.landing.ends_ns)
             legs.landing = None
-            detail = "the robot has landed; all six legs are stopped"
             return [
                 *self._stop(due, now_ns, *self.objection),
-                Announce(Kind.WATCHDOG_EXPIRED, detail, legs=ALL_LEGS),
+                Announce(
+                    Kind.WATCHDOG_EXPIRED, "the landing has ended", legs=ALL_LEGS, done="all six legs are stopped"
+                ),
             ]
         deadlines = [(leg.number, leg.deadline_ns(rules.timeout_ns)) for leg in legs]
         silent = {number: deadline for number, deadline in deadlines if deadline is not None and now_ns >= deadline}
@@ -55,12 +56,12 @@ class Watchdog(Interlock[Never]):
             return landing
         due = {leg.number: silent.get(leg.number, first) for leg in legs} if rules.stops_whole else silent
         effects = self._stop(due, now_ns, Reason.STALE, "the command was pending longer than the watchdog allows")
-        whole = "; all six legs are stopped" if rules.stops_whole else "; it is stopped"
-        whole += ", since this robot can only be stopped as a whole" if rules.starts_whole else ""
+        done = "all six legs are stopped" if rules.stops_whole else "it is stopped"
+        done += ", since this robot can only be stopped as a whole" if rules.starts_whole else ""
         for number in silent:
-            detail = f"no command for leg {number} in {timeout_ms:g} ms{whole}"
+            detail = f"no command for leg {number} in {timeout_ms:g} ms"
             stopped = ALL_LEGS if rules.stops_whole else (number,)
-            effects.append(Announce(Kind.WATCHDOG_EXPIRED, detail, legs=stopped))
+            effects.append(Announce(Kind.WATCHDOG_EXPIRED, detail, legs=stopped, done=done))
         return effects
 
     def _stop(self, due: dict[int, int], now_ns: int, reason: Reason, detail: str) -> list[Effect]:

@@ -32,8 +32,6 @@ from schemas.telemetry import Ack, Cause, Kind, Reason
 logger = logging.getLogger(__name__)
 
 _REPEAT: Final = Cause.REPEAT  # see `frames.OP_STOP`
-_RECOVERED: Final = frozenset({Kind.BUS_RECOVERED, Kind.CONTROLLER_RETURNED})
-"""Not published if the device opened and did not take six Stops: the fault lasts, and has been published."""
 
 
 @dataclass(slots=True)
@@ -44,6 +42,8 @@ class Outcome:
     written: list[Written] = field(default_factory=list)
     fault: SpiError | None = None
     """Why some frames were not written. The commands of those frames are rejected."""
+    unwritten: Sequence[int] = ()
+    """The legs of frames that the controller has not received because of the fault."""
     meddled: str | None = None
     """The device settings that another program had changed, found just before these frames were written."""
     results: list[Result] = field(default_factory=list)
@@ -126,6 +126,12 @@ class Executor:
 
     # ---- the effects
 
+    def announce(self, event: Announce, outcome: Outcome) -> None:
+        """Publish an event of a step: what its frames do only if they are written."""
+        found = event.outcome(outcome.unwritten, outcome.fault)
+        if found is not None:
+            self.reports.announce(found)
+
     def carry_out(self, effects: Sequence[Effect], command: Request | None = None) -> Outcome:
         """Write the frames in batches, then record, answer and publish. Return the outcome.
 
@@ -139,8 +145,8 @@ class Executor:
         for result in outcome.results:
             self._end(*result)
         for effect in effects:
-            if type(effect) is Announce and (outcome.fault is None or effect.kind not in _RECOVERED):
-                self.reports.announce(effect)
+            if type(effect) is Announce:
+                self.announce(effect, outcome)
         if self.publish_frames:
             self.reports.frames(outcome.written)
         if supply is not None:
@@ -186,6 +192,7 @@ class Executor:
         if outcome.fault is not None:  # it rejects the commands whose frames were not received
             received = {id(transmit) for transmit, sent in outcome.written if sent.received}
             failed = [each for each in effects if type(each) is Transmit and id(each) not in received]
+            outcome.unwritten = [each.frame.leg for each in failed]
         why = f"the frame could not be written: {outcome.fault}" if failed else ""
         outcome.results = results(effects, failed, why)
         for request, _, _ in outcome.results if failed else ():

@@ -15,7 +15,7 @@ from typing import Any, NoReturn
 import zenoh
 
 import gateway
-from gateway.errors import GatewayError
+from gateway.errors import GatewayError, SpiError
 from gateway.host import logs
 from gateway.host.worker import in_thread
 from gateway.model.frames import STOP_REPEAT_MS, STOP_REPEATS
@@ -49,6 +49,8 @@ class ServiceEnd:
         self.failure: str | None = None
         self.starts_anew = False
         """Whether the process restarts the service. After a failure it does not."""
+        self.stopped = True
+        """Whether each leg got its last Stop."""
         self.requested = asyncio.Event()
         """Set when the service has to end."""
         self._owner = owner
@@ -92,7 +94,8 @@ class ServiceEnd:
             # (SCHED_RESET_ON_FORK).
             threading.Thread(target=os.execv, args=(sys.executable, command), daemon=True).start()
             threading.Event().wait(EXEC_S)
-        os._exit(GatewayError.exit_code if self.starts_anew or self.failure is not None else 0)
+        failed = self.starts_anew or self.failure is not None
+        os._exit(SpiError.exit_code if not self.stopped else GatewayError.exit_code if failed else 0)
 
     def _failed(self, _loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         error = context.get("exception")
@@ -100,10 +103,10 @@ class ServiceEnd:
         self.because(f"a mistake in the gateway ended it: {error or context['message']}")
 
 
-async def stop_the_robot(conductor: Conductor) -> None:
+async def stop_the_robot(conductor: Conductor) -> bool:
     """Stop all six legs, and repeat the Stops for REPEATS_S at most; then wait as long for the power board.
 
-    If the conductor fails, the Stops are written directly to its bus.
+    If the conductor fails, the Stops are written directly to its bus. Return whether each leg got its Stop.
     """
     supply, asked_ns, deadline_s = conductor.supply, time.monotonic_ns(), time.monotonic() + REPEATS_S
     if supply is not None:
@@ -114,7 +117,9 @@ async def stop_the_robot(conductor: Conductor) -> None:
         except Exception:
             logger.exception("the orderly end failed; writing the Stops directly")
             stopped = False
-        how = "all six legs got their Stop" if stopped else _last_attempt(conductor.bus, deadline_s)
+        unstopped, how = (
+            (set[int](), "all six legs got their Stop") if stopped else _last_attempt(conductor.bus, deadline_s)
+        )
     if stopped:
         with suppress(TimeoutError):
             await asyncio.wait_for(conductor.done.wait(), REPEATS_S)
@@ -130,13 +135,14 @@ async def stop_the_robot(conductor: Conductor) -> None:
         how = f"{how}; {said}"
     with conductor.owner:
         conductor.recorder.ended(how)
+    return not unstopped
 
 
-def _last_attempt(bus: Wire, deadline_s: float) -> str:
+def _last_attempt(bus: Wire, deadline_s: float) -> tuple[set[int], str]:
     """Stop all six legs repeatedly: a transient fault, or a fault of one leg's frame, must not keep others moving.
 
-    Return a sentence for the black box. This blocks the loop and owns the state: after an exception nothing else may
-    write to the bus.
+    Return the legs without a Stop, and a sentence for the black box. This blocks the loop and owns the state: after an
+    exception nothing else may write to the bus.
     """
     unstopped, rounds_left, opened = set(LEGS), 1 + STOP_REPEATS, True
     while True:
@@ -151,7 +157,7 @@ def _last_attempt(bus: Wire, deadline_s: float) -> str:
     if unstopped:
         how = f"no Stop could be written to legs {', '.join(map(str, sorted(unstopped)))}: {fault}"
     logger.log(logging.CRITICAL if unstopped else logging.WARNING, how)
-    return how
+    return unstopped, how
 
 
 async def close_within(timeout_s: float, closes: Iterable[Callable[[], None]]) -> None:

@@ -267,6 +267,62 @@ async def test_a_bus_that_cannot_be_opened_at_the_start_ends_the_start() -> None
         robot.conductor.start()
 
 
+async def _end_silence(_robot: Robot) -> None:
+    await asyncio.sleep(0.3)
+
+
+async def _end(robot: Robot) -> None:
+    robot.conductor.shut_down()
+
+
+async def _take(robot: Robot) -> None:
+    robot.lease("take", "bert")
+
+
+async def _engage(robot: Robot) -> None:
+    robot.put(keys.ESTOP)
+
+
+async def _press(robot: Robot) -> None:
+    robot.button("leave", button=f"{1:032x}")
+
+
+CLAIMS = {
+    Kind.WATCHDOG_EXPIRED: _end_silence,
+    Kind.STOPPING: _end,
+    Kind.LEASE_ACQUIRED: _take,
+    Kind.ESTOP_ENGAGED: _engage,
+    Kind.BUTTON_LEFT: _press,
+}
+"""Events that state what the frames of their own step do, and what causes them."""
+
+
+@pytest.mark.parametrize("kind", CLAIMS)
+async def test_an_event_states_that_legs_are_stopped_only_if_the_frames_are_written(kind: Kind) -> None:
+    for written in True, False:
+        robot = await started_and_quiet(buttons={"required": int(kind is Kind.BUTTON_LEFT)})
+        token = robot.button("register", "kitchen").button
+        assert robot.button("alive", button=token, count=1).accepted
+        robot.put(LEG_3, START)
+        if not written:
+            robot.controller.fail_for_ms(60_000)
+        await CLAIMS[kind](robot)
+        (event,) = robot.events(kind)
+        stopped = "stopped" in event.detail
+        assert (stopped, "could not be written: the simulated" in event.detail) == (written, not written), event.detail
+
+
+async def test_an_event_about_a_leg_whose_stop_was_written_is_not_changed_by_another_legs_fault() -> None:
+    robot = await started_and_quiet()
+    robot.put(LEG_1, START)
+    robot.put(LEG_3, START)
+    robot.controller.fail_where(lambda data: data == stop_leg(3).data)
+    await asyncio.sleep(0.3)
+    one, three = robot.events(Kind.WATCHDOG_EXPIRED)
+    assert one.detail == "no command for leg 1 in 250 ms; it is stopped"
+    assert three.detail.startswith("no command for leg 3 in 250 ms; frames for leg 3 could not be written: ")
+
+
 # ---- the end
 
 
@@ -308,5 +364,5 @@ async def test_the_black_box_states_which_last_stops_were_not_written(
     robot, ended = await started_and_quiet(), list[str]()
     robot.controller.fail_where(lambda data: number is None or data == stop_leg(number).data)
     monkeypatch.setattr(robot.conductor.recorder, "ended", ended.append)
-    await stop_the_robot(robot.conductor)
+    assert not await stop_the_robot(robot.conductor)
     assert f"no Stop could be written to legs {number or '1, 2, 3, 4, 5, 6'}: the simulated" in ended[0]

@@ -36,7 +36,7 @@ def test_a_takeover_stops_all_six_legs_first() -> None:
         2 leg 1 set 45 (lease anna)
         3 lease take bert (fresh bert)
             → command 1-6 stop; rejected 2 not_holder; announce lease_taken; granted
-        announces bert has stopped all legs and taken the lease from anna
+        announces bert has taken the lease from anna; all six legs are stopped
         source bert""")
     assert robot.only(RequestAnswer).token == BERT
     robot.play("""
