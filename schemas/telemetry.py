@@ -188,6 +188,10 @@ class Ack(Answer):
     ] = None
     stop_frames: Annotated[Count | None, Field(description="of an emergency stop: Stop frames written")] = None
     estop: Annotated[Count | None, Field(description="of an emergency stop: its number")] = None
+    kept: Annotated[
+        bool | None,
+        Field(description="of an emergency stop: whether it was on the disk when this left; null: no state folder"),
+    ] = None
     latency_us: Annotated[
         float | None, Field(ge=0, description="of an emergency stop: request to last Stop written")
     ] = None

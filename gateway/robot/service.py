@@ -39,7 +39,7 @@ from gateway.robot.host.systemd import SystemdNotifier
 from gateway.robot.power.line import PowerLine
 from gateway.robot.runtime.calibrations import Calibrations
 from gateway.robot.runtime.conductor import Conductor
-from gateway.robot.runtime.estop_keeper import READ_S, EstopKeeper
+from gateway.robot.runtime.estop_keeper import READ_S, EstopKeeper, take_over
 from gateway.robot.runtime.report import wall_clock
 from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers
 from gateway.robot.runtime.revocations import Revocations, list_common_names, revocation_state
@@ -199,7 +199,7 @@ class _Service:
         if self.checker is not None and (fault := self.checker.clock_fault(wall_clock())):
             logger.warning(fault)
         found = state_directory(settings.state.path)
-        state = None if found is None else StateFolder(found)
+        state, handed_over = None if found is None else StateFolder(found), take_over()
         self.bus = wires.wire(settings, simulated)
         failed = partial(report_mistake, loop, "a thread failed")
         power, channel = settings.power, simulated.board_channel
@@ -208,7 +208,7 @@ class _Service:
         self.outbox = ZenohOutbox()
         self.conductor = Conductor(
             settings,
-            Supervisor(replace(rules(settings), estop_kept=state is not None)),
+            Supervisor(replace(rules(settings), estop_kept=state is not None or handed_over is not None)),
             self.bus,
             self.outbox,
             loop,
@@ -219,7 +219,7 @@ class _Service:
         )
         if self.line is not None:
             self.line.start()
-        self.keeper = EstopKeeper(self.conductor, state, loop)
+        self.keeper = EstopKeeper(self.conductor, state, loop, handed_over)
         reports, forgotten = self.conductor.reports, "" if state is None else forgets(state.path)
         reports.simulated, reports.physics = simulated.controller, simulated.body_id
         reports.calibration_kept = state is not None and not forgotten
@@ -262,6 +262,8 @@ class _Service:
             with self.owner:
                 conductor.close()
         await close_within(deadline - self.loop.time(), closes)
+        with self.owner:
+            end.handed_over = {**self.keeper.hand_over(), **self.calibrations.hand_over()}
         return end
 
     def take_commands(

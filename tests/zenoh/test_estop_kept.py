@@ -9,7 +9,7 @@ import pytest
 
 from gateway import durable
 from gateway.client import Client
-from gateway.robot.runtime.estop_keeper import ESTOP_FILE, LAST_FILE, SLOW_S
+from gateway.robot.runtime.estop_keeper import ESTOP_FILE, LAST_FILE, SLOW_S, KeptEstop, read
 from schemas import keys
 from schemas.telemetry import Kind, Mode, Reason
 from tests.support.gateway_process import Gateway
@@ -17,6 +17,7 @@ from tests.support.heard import events
 from tests.support.waiting import wait_until
 
 LATE_S = 15.0
+TRIALS = int(os.environ.get("TRIALS", "3"))
 
 
 def start(folder: Path) -> Gateway:
@@ -66,6 +67,30 @@ def test_it_is_engaged_again_however_the_gateway_ended_and_a_reset_ends_it_for_g
         assert (found.mode, found.estop, found.estop_since) == (Mode.IDLE, 1, None)
         assert press(client) == 2
         assert client.ask(keys.RESET, {"estop": 1}).reason is Reason.ESTOPPED, "it was sent to an earlier run"
+
+
+@pytest.mark.parametrize("reset_before", [False, True])
+def test_where_the_answer_states_that_it_is_kept_a_kill_at_the_answer_leaves_it_engaged(
+    tmp_path: Path, reset_before: bool
+) -> None:
+    lost, kept = list[tuple[bool, KeptEstop]](), 0
+    for trial in range(TRIALS):
+        folder = tmp_path / str(trial)
+        folder.mkdir()
+        with start(folder) as gateway, gateway.client() as client:
+            if reset_before:
+                assert client.ask(keys.RESET, {"estop": press(client)}).accepted
+            ack = client.ask(keys.ESTOP, {})
+            gateway.child.kill()
+            gateway.child.wait(LATE_S)
+        found = read(folder / "state")
+        assert ack.kept is not None
+        kept += ack.kept
+        if (found.engaged, found.number) != (True, ack.estop):
+            lost.append((ack.kept, found))
+    print(f"{TRIALS} kills at the answer: {kept} kept, {len(lost)} lost or older")
+    assert not [each for each in lost if each[0]]
+    assert kept, "a disk that works keeps them in time"
 
 
 # ---- the disk (all ways to be damaged: tests/unit/robot/test_estop_file.py)

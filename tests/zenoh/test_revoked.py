@@ -17,6 +17,7 @@ from gateway import certs
 from gateway.client import Client
 from gateway.errors import GatewayError, ZenohError
 from gateway.people.client.requests import Identity
+from schemas.calibration import ServoChange
 from schemas.robot import LEGS
 from schemas.telemetry import GatewayState, Mode, Reason
 from tests.support.child import Child
@@ -193,6 +194,22 @@ def test_two_lists_that_cross(robot: Robot) -> None:
         assert (answer.accepted, answer.reason) == (False, Reason.REVOCATION_DENIED)
         assert "number is 1, and number 2 is in force" in str(answer.detail)
         assert bert.revocation().number == 2
+
+
+def test_without_a_state_folder_emergency_stop_and_calibration_outlast_the_start_anew(robot: Robot) -> None:
+    with robot.start(STATE_DIRECTORY="") as gateway, robot.laptop("bert") as bert:
+        heard = states(bert)
+        assert bert.calibrate({11: ServoChange(trim_deg=3.5)})
+        engaged = bert.estop()
+        assert engaged.kept is None
+        assert robot.revoke("anna").returncode == 0
+        heard.wait(in_force(1))
+        state = bert.state()
+        assert (state.mode, state.estop, state.estop_source) == (Mode.ESTOPPED, engaged.estop, "bert")
+        assert bert.start_leg(1, 90, 90, 90, check=False).reason is Reason.ESTOPPED
+        assert (bert.calibration().servos["11"].trim_deg, bert.calibration().revision) == (3.5, 1)
+        gateway.child.wait_for_output("is still engaged")
+        assert bert.reset().accepted
 
 
 @contextmanager

@@ -38,6 +38,8 @@ CALIBRATION_FILE: Final = "calibration.toml"
 """File name in the service's state directory."""
 CALIBRATION_VERSION: Final = 1
 EARLIER_KEPT: Final = 10
+HANDED_OVER: Final = "GATEWAY_HANDOVER_CALIBRATION"
+"""The environment variable with a calibration in memory, for the program that this process executes next."""
 MAX_CALIBRATION_BYTES: Final = 64 * 1024
 """A whole calibration takes 2 kB; a larger file is rejected unread."""
 
@@ -65,12 +67,19 @@ class Calibrations(RequestAnswers):
         super().__init__(conductor)
         self._calibrating = conductor.supervisor.calibrating
         self._folder = folder
+        handed_over = os.environ.pop(HANDED_OVER, None)
+        if folder is None and handed_over is not None:
+            self._calibrating.load(from_toml(handed_over.encode()))
         if folder is not None:
             self._disk = DiskWriter("keep calibration", conductor.loop, conductor.owner)
             calibration, fault = load(folder.path / CALIBRATION_FILE)
             self._calibrating.load(calibration, fault)
             if fault is not None:
                 logger.warning("%s; nothing is started %s: %s", fault, UNTIL_TRUSTED, command("calibrate"))
+
+    def hand_over(self) -> dict[str, str]:
+        """Return a calibration that no disk keeps as an environment variable. The caller owns the state."""
+        return {} if self._folder is not None else {HANDED_OVER: to_toml(self._calibrating.in_force)}
 
     def publish(self) -> None:
         """Publish and record the calibration in force."""

@@ -10,6 +10,7 @@ import os
 import secrets
 import threading
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from datetime import UTC, datetime
 from functools import partial
@@ -34,8 +35,8 @@ ESTOP_FILE: Final = "estop.json"
 LAST_FILE: Final = "estop-last.json"
 MAX_BYTES: Final = 4096
 """A file has about 200; a larger one is rejected unread."""
-MAX_NUMBER: Final = 2**53
-"""The largest exact integer in JavaScript."""
+MAX_NUMBER: Final = 2**52
+"""A file with a number from here on is damaged: above twice as much, JavaScript's integers are not exact."""
 _UNHEARD_OF: Final = 10**9
 """If the last number is not known, numbers continue a random step above this, so that no earlier reset names them."""
 
@@ -51,6 +52,12 @@ HANGS_S: Final = 0.1
 """A step that takes longer may never end: systemd kills a gateway whose transfer hangs. A step takes some 2 ms."""
 FLUSH_S: Final = 0.2
 """How long the end of the service waits for a write."""
+KEPT_S: Final = 0.05
+"""How long an answer waits for the disk. Most write within 20 ms; a client waits as long for a power board."""
+MOST_WAITING: Final = 100
+"""Answers that wait for the disk; further ones leave at once."""
+HANDED_OVER: Final = "GATEWAY_HANDOVER_ESTOP"
+"""The environment variable with the emergency stop, for the program that this process executes next."""
 _LOOK: Final = "make sure that nobody is in danger, then reset it"
 
 logger = logging.getLogger(__name__)
@@ -72,12 +79,23 @@ class EstopKeeper:
     The owner of the state calls it. Its thread writes the latest state, so an older state never follows a newer one.
     """
 
-    def __init__(self, conductor: Conductor, folder: StateFolder | None, loop: asyncio.AbstractEventLoop) -> None:
-        """Begin to read, on another thread, so that the first Stops do not wait for the disk."""
+    def __init__(
+        self,
+        conductor: Conductor,
+        folder: StateFolder | None,
+        loop: asyncio.AbstractEventLoop,
+        handed_over: KeptEstop | None = None,
+    ) -> None:
+        """Begin to read, on another thread, so that the first Stops do not wait for the disk.
+
+        `handed_over`: this process's own, from before it executed the program anew. It is newer than the disk's.
+        """
         self._conductor = conductor
         self._folder = folder
         self._loop = loop
         self._found: asyncio.Future[KeptEstop] = loop.create_future()
+        self._handed_over = handed_over
+        self._left = KeptEstop(0)
         self._wanted: KeptEstop | None = None
         self._written: KeptEstop | None = None
         self._unknown: str | None = None
@@ -93,6 +111,9 @@ class EstopKeeper:
         if folder is not None:
             late = partial(self._report, f"the disk has not answered for {SLOW_S:g} s")
             self._slow = OwnersTimer(loop, conductor.owner, late)
+            self._waiting: list[tuple[int, Callable[[bool], None]]] = []
+            self._late = OwnersTimer(loop, conductor.owner, partial(self._answer, late=True))
+            conductor.executor.when_kept = self.when_kept
             thread = in_thread("keep estop", partial(self._keep, folder))
             thread.add_done_callback(asyncio.Future.result)  # a mistake ends the service
 
@@ -100,21 +121,25 @@ class EstopKeeper:
 
     async def known(self) -> None:
         """Report the earlier run's emergency stop to the supervisor, before any command. Takes READ_S at most."""
-        if self._folder is None:
+        conductor, found, handed_over = self._conductor, KeptEstop(0), self._handed_over
+        if self._folder is not None:
+            late = f"{self._folder.path}: the disk has not answered for {READ_S:g} s"
+            read_in_time, _ = await asyncio.wait((self._found,), timeout=READ_S)
+            found = self._found.result() if read_in_time else _unknown(late)
+        elif handed_over is None:
             return
-        late = f"{self._folder.path}: the disk has not answered for {READ_S:g} s"
-        read_in_time, _ = await asyncio.wait((self._found,), timeout=READ_S)
-        conductor, found = self._conductor, self._found.result() if read_in_time else _unknown(late)
         with conductor.owner:
+            self._left = left = handed_over or found
             if not conductor.supervisor.latch.number:  # else the source and the time are those of a newer one
-                conductor.reports.estop = found.source
-                conductor.reports.estop_since = found.time
-            self._unknown = found.fault
+                conductor.reports.estop = left.source
+                conductor.reports.estop_since = left.time
+            self._unknown = left.fault
             self._written = None if found.fault else found
-            conductor.on_latch = self._changed
-            conductor.ask(EstopKept(found.number, found.engaged))
-            if conductor.supervisor.latch.since_ns is not None:
-                self._changed()  # one of this run may have come before, by the power board's off button
+            conductor.ask(EstopKept(left.number, left.engaged))
+            if self._folder is not None:
+                conductor.on_latch = self._changed
+                if conductor.supervisor.latch.since_ns is not None or handed_over is not None:
+                    self._changed()  # one of this run may have come before, by the power board's off button
             self._show()
 
     def announce_start(self) -> None:
@@ -123,16 +148,15 @@ class EstopKeeper:
             logger.info(
                 "an emergency stop and the calibration are kept in memory only, until this process ends (state.path)"
             )
-            return
-        found = self._written
+        left = self._left
         if self._unknown is not None:
             number = self._conductor.supervisor.latch.number
             what = f"emergency stop {number} is engaged, since it is not known what an earlier run has left"
             detail = f"{what} ({self._unknown}); {_LOOK}"
-        elif found is not None and found.engaged:
-            since = "" if found.time is None else f" of {found.time.astimezone(UTC):%Y-%m-%d %H:%M:%S} UTC"
-            by = "" if found.source is None else f", by {found.source}"
-            detail = f"emergency stop {found.number}{since}{by} is still engaged; {_LOOK}"
+        elif left.engaged:
+            since = "" if left.time is None else f" of {left.time.astimezone(UTC):%Y-%m-%d %H:%M:%S} UTC"
+            by = "" if left.source is None else f", by {left.source}"
+            detail = f"emergency stop {left.number}{since}{by} is still engaged; {_LOOK}"
         else:
             return
         self._conductor.reports.announce(Announce(Kind.ESTOP_KEPT, detail, key=ESTOP))
@@ -154,6 +178,21 @@ class EstopKeeper:
             self._idle.clear()
             self._slow.set_in(SLOW_S)
             self._wakes.put(at_once)
+
+    def when_kept(self, number: int, then: Callable[[bool], None]) -> None:
+        """Call `then` as owner: True once emergency stop `number` is on the disk, False if it is not within KEPT_S."""
+        self._waiting.append((number, then))
+        if not self._late.armed:
+            self._late.set_in(KEPT_S)
+        self._answer(late=len(self._waiting) > MOST_WAITING)
+
+    def _answer(self, *, late: bool) -> None:
+        """Answer those whose emergency stop is on the disk; if it is too `late` to wait, all."""
+        written, waiting = self._written or KeptEstop(0), self._waiting
+        self._waiting = [] if late else [each for each in waiting if each[0] > written.number]
+        for number, then in waiting:
+            if late or number <= written.number:
+                then(written.engaged and number <= written.number)
 
     def received(self) -> None:
         """Keep an emergency stop that was just received even if its step hangs. For any thread; never waits."""
@@ -216,6 +255,7 @@ class EstopKeeper:
                 self._idle.set()
             else:
                 self._slow.set_in(SLOW_S)
+            self._answer(late=fault is not None)
             self._report(fault)
 
     def _report(self, fault: str | None) -> None:
@@ -242,6 +282,30 @@ class EstopKeeper:
         """Wait until all is written or an attempt has failed, FLUSH_S at most. The caller must not own the state."""
         self._wakes.put(True)
         self._idle.wait(FLUSH_S)
+        if self._folder is not None:
+            with self._conductor.owner:
+                self._answer(late=True)
+
+    def hand_over(self) -> dict[str, str]:
+        """Return the emergency stop as an environment variable. The caller owns the state, which has ended."""
+        latch, reports = self._conductor.supervisor.latch, self._conductor.reports
+        if latch.unknown:
+            return {}
+        if latch.since_ns is None:
+            return {HANDED_OVER: _text(KeptEstop(latch.number))}
+        return {HANDED_OVER: _text(KeptEstop(latch.number, True, reports.estop_source, reports.estop_since))}
+
+
+def take_over() -> KeptEstop | None:
+    """Return the emergency stop from before this process executed the program anew, once; None: it did not."""
+    text = os.environ.pop(HANDED_OVER, None)
+    if text is None:
+        return None
+    try:
+        found = _Content.model_validate_json(text)
+    except ValidationError as error:
+        return _unknown(f"{HANDED_OVER}: is damaged ({error.errors()[0]['msg']})")
+    return KeptEstop(found.number, found.time is not None, found.source, found.time)
 
 
 # ---- the files
@@ -298,20 +362,26 @@ def _unknown(fault: str, last: int = 0) -> KeptEstop:
     return KeptEstop(number, True, time=datetime.now(UTC), fault=fault)
 
 
+def _text(kept: KeptEstop) -> str:
+    """Return it as JSON; only an engaged one has a source and a time."""
+    if not kept.engaged:
+        return f'{{"number":{kept.number}}}'
+    source = None if kept.source is None else kept.source.encode(errors="replace").decode()
+    time = kept.time or datetime.now(UTC)
+    return _Content.model_construct(number=kept.number, source=source, time=time).model_dump_json()
+
+
 def write(folder: Path, kept: KeptEstop) -> None:
     """Write atomically; it is on the disk when this returns. Raises ConfigError if it cannot be written."""
     try:
         if kept.engaged:
-            source = None if kept.source is None else kept.source.encode(errors="replace").decode()
-            engaged = _Content(number=kept.number, source=source, time=kept.time or datetime.now(UTC))
-            data = engaged.model_dump_json().encode()
+            data = _text(kept).encode()
             # First without a sync, which a kill may interrupt. A part of a file counts as engaged, too.
             with suppress(FileExistsError), (folder / ESTOP_FILE).open("xb") as file:
                 file.write(data)
             durable.write(folder / ESTOP_FILE, data)
         else:  # the number first: after a crash between the two, the emergency stop is engaged
-            left = _Content(number=kept.number).model_dump_json(exclude_unset=True)
-            durable.write(folder / LAST_FILE, left.encode())
+            durable.write(folder / LAST_FILE, _text(kept).encode())
             (folder / ESTOP_FILE).unlink(missing_ok=True)
             durable.sync(folder)
     except OSError as error:

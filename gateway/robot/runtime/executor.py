@@ -1,7 +1,7 @@
 """Carries out the effects of a supervisor's step, and answers each request once. Only a transfer waits."""
 
 import logging
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
@@ -22,6 +22,7 @@ from gateway.robot.core.events import (
     Verdict,
     results,
 )
+from gateway.robot.core.message import Reply
 from gateway.robot.core.rejections import echo_of
 from gateway.robot.runtime.report import RobotReports
 from gateway.robot.runtime.supply import RobotSupply
@@ -74,6 +75,8 @@ class Executor:
     supply: RobotSupply | None
     reports: RobotReports
     publish_frames: bool
+    when_kept: Callable[[int, Callable[[bool], None]], None] | None = None
+    """Calls back once the disk has the emergency stop of this number. None: no disk keeps it."""
 
     # ---- the answers
 
@@ -83,14 +86,23 @@ class Executor:
         if reply is None:
             return
         if self.supply is None or not stopped:
-            reply(ack.model_dump_json().encode())
+            self._reply(reply, ack)
             return
 
         def confirmed(ms: float | None) -> None:
             found = {"confirmed": ms is not None, "confirmed_ms": ms}
-            reply(ack.model_copy(update=found).model_dump_json().encode())
+            self._reply(reply, ack.model_copy(update=found))
 
         self.supply.confirm(stopped, request.received_ns, confirmed)
+
+    def _reply(self, reply: Reply, ack: Ack) -> None:
+        """Send an answer; that of an emergency stop once the disk has it, or is too slow."""
+        if ack.estop is None or self.when_kept is None:
+            reply(ack.model_dump_json().encode())
+        else:
+            self.when_kept(
+                ack.estop, lambda kept: reply(ack.model_copy(update={"kept": kept}).model_dump_json().encode())
+            )
 
     def reject_unread(self, key: str, source: str | None, detail: str, reason: Reason = Reason.INVALID) -> None:
         """Reject a message on a key that takes no commands: an unknown key, or a key for `get` only."""

@@ -49,6 +49,8 @@ class ServiceEnd:
         self.failure: str | None = None
         self.starts_anew = False
         """Whether the process restarts the service. After a failure it does not."""
+        self.handed_over: dict[str, str] = {}
+        """The environment variables for the program that this process executes next."""
         self.stopped = True
         """Whether each leg got its last Stop."""
         self.requested = asyncio.Event()
@@ -89,6 +91,7 @@ class ServiceEnd:
             here = Path(gateway.__file__).parents[1]
             # A package's folder is a program, run without this machine's packages (deploy/debian/hexapod-gateway).
             program = ("-IS", str(here)) if (here / "__main__.py").exists() else ("-m", "gateway")
+            os.environ.update(self.handed_over)
             command = (sys.executable, *program, *sys.argv[1:])
             # A program inherits its thread's scheduling class, and this thread cannot give up its own
             # (SCHED_RESET_ON_FORK).

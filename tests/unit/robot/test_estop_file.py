@@ -8,6 +8,7 @@ import os
 import threading
 import time
 from collections.abc import AsyncIterator, Callable
+from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -26,10 +27,12 @@ from gateway.robot.runtime.estop_keeper import (
     FLUSH_S,
     LAST_FILE,
     MAX_BYTES,
+    MAX_NUMBER,
     PAUSE_S,
     EstopKeeper,
     KeptEstop,
     read,
+    take_over,
     write,
 )  # fmt: skip
 from schemas import keys
@@ -67,6 +70,7 @@ DAMAGES: dict[str, Callable[[Path], object]] = {
     "a file in its place": a_file_in_its_place,
     "half of it": holds('{"number":7,"sour'),
     "no number": holds('{"number":"7","source":null,"time":"2026-11-26T04:30:00Z"}'),
+    "a number that cannot be counted on": holds('{"number":9007199254740991,"time":"2026-11-26T04:30:00Z"}'),
     "without a zone": holds('{"number":7,"source":null,"time":"2026-11-26T04:30:00"}'),
     "huge": holds(" " * (MAX_BYTES + 1)),
     "a folder": lambda folder: (folder / ESTOP_FILE).mkdir(),
@@ -171,7 +175,9 @@ async def kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator
 
 def number_kept(folder: Path) -> int:
     path = folder / ESTOP_FILE
-    text = path.read_text() if path.exists() else ""  # it is there before its text is
+    text = ""  # the file is there before its text is
+    with suppress(FileNotFoundError):
+        text = path.read_text()
     return int(json.loads(text)["number"]) if text else 0
 
 
@@ -264,6 +270,81 @@ async def test_requests_that_come_slower_than_the_disk_writes_wait_for_their_tur
         await until(lambda number=number: number_kept(tmp_path) == number)  # type: ignore[misc]
         await until(keeper._idle.is_set)
     assert begun_s[1] - ended_s[0] >= 0.9 * PAUSE_S
+
+
+async def test_the_answer_states_whether_the_disk_has_it(
+    kept: Kept, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot, keeper = kept
+    answers = robot.get(keys.ESTOP)
+    await until(lambda: bool(answers))
+    assert (answers[0].estop, answers[0].kept, read(tmp_path).number) == (1, True, 1)
+    goes_on = threading.Event()
+
+    def hold(folder: Path, estop: KeptEstop) -> None:
+        goes_on.wait(15)
+        write(folder, estop)
+
+    monkeypatch.setattr(estop_keeper, "write", hold)
+    robot.put(keys.RESET, {"estop": 1})
+    late = robot.get(keys.ESTOP)
+    await until(lambda: bool(late))
+    assert (late[0].estop, late[0].kept) == (2, False), "the disk still has the reset to write"
+    at_the_end = robot.get(keys.ESTOP)
+    ending = asyncio.create_task(asyncio.to_thread(keeper.flush))
+    await until(lambda: bool(at_the_end))
+    goes_on.set()
+    await ending
+    await until(lambda: number_kept(tmp_path) == 3)
+
+
+async def test_without_a_state_folder_the_answer_states_nothing_about_a_disk() -> None:
+    robot = Robot()
+    robot.conductor.start()
+    assert robot.ask(keys.ESTOP).kept is None
+
+
+async def test_the_greatest_number_that_a_file_may_have_is_counted_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write(tmp_path, ENGAGED._replace(number=MAX_NUMBER - 1))
+    robot, keeper = begun(tmp_path, monkeypatch)
+    await keeper.known()
+    answers = [*robot.get(keys.ESTOP), *robot.get(keys.ESTOP)]
+    await until(lambda: number_kept(tmp_path) == MAX_NUMBER + 1)
+    robot.conductor.close()
+    assert read(tmp_path).engaged, "as a damaged file"
+    assert answers == [] or answers[-1].estop == MAX_NUMBER + 1
+
+
+@pytest.mark.parametrize("engaged", [True, False])
+@pytest.mark.parametrize("folder", [True, False])
+async def test_what_this_process_hands_over_to_itself_is_newer_than_the_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, engaged: bool, folder: bool
+) -> None:
+    """No disk keeps it, or the disk was too slow."""
+    write(tmp_path, KeptEstop(0) if engaged else KeptEstop(1, True, "anna", SINCE))
+    robot = Robot()
+    robot.conductor.start()
+    robot.put(keys.ESTOP, {"source": "anna"})
+    if not engaged:
+        await asyncio.sleep(0.001)
+        robot.put(keys.RESET, {"estop": 1})
+    for name, text in EstopKeeper(robot.conductor, None, robot.loop).hand_over().items():
+        monkeypatch.setenv(name, text)
+    monkeypatch.setattr(robots, "rules", lambda settings: replace(service.rules(settings), estop_kept=True))
+    again = Robot()
+    again.conductor.start()
+    state = StateFolder(tmp_path) if folder else None
+    keeper = EstopKeeper(again.conductor, state, again.loop, take_over())
+    await keeper.known()
+    assert again.mode == (Mode.ESTOPPED if engaged else Mode.IDLE)
+    assert (again.conductor.supervisor.latch.number, take_over()) == (1, None)
+    assert again.state().estop_source == ("anna" if engaged else None)
+    if folder:
+        await until(keeper._idle.is_set)
+        assert read(tmp_path)[:2] == (1, engaged)
+    again.conductor.close()
 
 
 @pytest.mark.parametrize("reset", [True, False], ids=["a reset", "the end of the service"])
