@@ -98,7 +98,7 @@ class ServiceEnd:
             threading.Thread(target=os.execv, args=(sys.executable, command), daemon=True).start()
             threading.Event().wait(EXEC_S)
         failed = self.starts_anew or self.failure is not None
-        os._exit(SpiError.exit_code if not self.stopped else GatewayError.exit_code if failed else 0)
+        os._exit(GatewayError.exit_code if failed else 0 if self.stopped else SpiError.exit_code)
 
     def _failed(self, _loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         error = context.get("exception")
