@@ -336,7 +336,7 @@ class Oracle(RobotHistory):
         change_hands(self.legs, running, command, targets, effects)
         told_to_stop: set[int] = set()
         for effect in effects:
-            if isinstance(effect, Transmit):
+            if isinstance(effect, Transmit) and effect.frame.is_stop:
                 told_to_stop |= {servo_id for servo_id, op in effect.frame.servos if op.op is Op.STOP}
         for servo_id, op in targets:
             servo = self.servos[servo_id]
@@ -398,13 +398,16 @@ class Oracle(RobotHistory):
         for servo_id, op in transmit.frame.servos:
             servo = self.servos[servo_id]
             if op.op is Op.STOP:
-                demand(servo_id in stops or not servo.on, f"nobody asked to stop {servo_id}")
+                ends = servo_id in stops and transmit.frame.is_stop
+                demand(
+                    ends or not servo.on, f"{servo_id} is stopped though nobody asked, or in a frame that moves others"
+                )
                 demand(
                     servo.want is None or servo_id in held,
                     f"{servo_id} is stopped although a newer command wants it to move",
                 )
                 servo.rest(now_ns)
-                if servo_id in stops:
+                if ends:
                     self.owe((servo,), now_ns)
                 continue
             demand(servo_id not in held, f"{servo_id} is started before the power board has confirmed that it feeds it")

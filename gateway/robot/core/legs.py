@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import Final
 
 from gateway.model.angle_limits import AngleLimits
-from gateway.model.frames import OP_SET, OP_START, OP_STOP, SETS, STARTS, STOP, OneServo, ServoOp, stop_leg
+from gateway.model.frames import OP_SET, OP_START, OP_STOP, SETS, STARTS, STOP, ServoOp, stop_leg
 from gateway.robot.core.events import Command, Completed, Effect, Rejected, Targets, Transmit
 from gateway.robot.core.landing import Landing
 from gateway.robot.core.leg import (
@@ -231,27 +231,24 @@ class Legs:
             command.left += len(self.servos) - len(command.stops)
             by_leg = {leg.number: tuple((servo.servo_id, STOP) for servo in leg.servos) for leg in self}
         for number, targets in by_leg.items():
-            leg = self.by_number[number]
-            moves = not stops_some or any(op.op is not OP_STOP for _, op in targets)
+            leg, moves = self.by_number[number], targets
+            if stops_some:
+                moves = tuple([target for target in targets if target[1].op is not OP_STOP])
+                if len(moves) < len(targets):
+                    stops.append((leg, [self.servos[servo_id] for servo_id, op in targets if op.op is OP_STOP]))
             if command.lost:
                 leg.source = None
             elif leg.source != command.source:
-                taken += taken_over(leg, command.source, moves)
+                taken += taken_over(leg, command.source, bool(moves))
             if moves:
                 # A Stop does not count: it does not keep the leg's other servos running.
                 leg.commanded_ns = now_ns
-                effects += self._take(leg, targets, command, now_ns)
+                effects += self._take(leg, moves, command, now_ns)
                 moved.append(leg)
-            else:
-                stops.append((leg, [self.servos[servo_id] for servo_id, _ in targets]))
+        for leg, servos in stops:
+            effects += self._stop_on_command(leg, servos, command, now_ns, beside=leg in moved)
         for leg in moved:  # only now is it known which starts have to wait for others
             effects += self._send(leg, now_ns)
-            if stops_some:
-                effects += self._stop_beside(leg, command, now_ns)
-        for leg, servos in stops:  # after the moves, which these Stops then do not drop
-            effects += self._stop_on_command(leg, servos, command, now_ns)
-        if stops:  # they may have removed starts that the command's own starts waited for
-            effects += self.take_slots(now_ns)
         if whole and command.moves:
             effects.append(withdrawn(command, Reason.WHOLE_ROBOT, _MIXED))
         return effects + taken if taken else effects
@@ -279,18 +276,25 @@ class Legs:
             return None
         return None if self.servos[moves[0][0]].will_run else (Reason.WHOLE_ROBOT, _PARTLY)
 
-    def _stop_on_command(self, leg: Leg, servos: list[Servo], command: Command, now_ns: int) -> list[Effect]:
-        """Carry out a command's Stops for a leg that it only stops: the frames leave now."""
-        effects = stops(leg, servos, Cause.COMMAND, (command,))
+    def _stop_on_command(
+        self, leg: Leg, servos: list[Servo], command: Command, now_ns: int, *, beside: bool
+    ) -> list[Effect]:
+        """Carry out a command's Stops for a leg: the frames leave now. `beside`: it moves other servos of the leg."""
+        effects: list[Effect] = []
         if command.lost:
             effects += self.drop(servos, Reason.OVERFLOW, _LOST)
+        # If a stream above the rate keeps stopping a stopped servo beside moves, the repeats suffice.
+        first = [servo for servo in servos if not beside or servo.running or not servo.repeats_left]
+        effects += stops(leg, first, Cause.COMMAND, (command,))
         for servo in servos:
             effects += self._replaced(servo)
             servo.note_stop(command.channel, self.instant_ns)
-            self._stopped(servo, now_ns)
+            servo.waiting = servo.from_cdeg = None
+            if servo in first:
+                self._stopped(servo, now_ns)
             effects += self._target_done(command)
         leg.expired = leg.expired and len(servos) < len(leg.servos)
-        return effects + self._empty_start_queue(command)
+        return effects if beside else effects + self._empty_start_queue(command)
 
     def _take(self, leg: Leg, targets: Targets, command: Command, now_ns: int) -> list[Effect]:
         """Let a command's targets for a leg that it starts or sets wait for their frame."""
@@ -303,40 +307,23 @@ class Legs:
                     newest = STARTS[op.angle_cdeg]  # a waiting start stays a start
                 effects += self._replaced(servo)
             servo.waiting, servo.waiting_for, servo.begun = newest, command, False
-            if op.op is OP_STOP:
-                servo.note_stop(command.channel, self.instant_ns)
-            elif servo.source != command.source or servo.angle_cdeg is None:
+            if servo.source != command.source or servo.angle_cdeg is None:
                 taken += [servo]
         if taken:
             self._speeds.take_over(leg, taken, command.source, now_ns)
         return effects
 
-    def _stop_beside(self, leg: Leg, command: Command, now_ns: int) -> list[Effect]:
-        """Carry out a command's Stops for a leg that it also moves. They do not wait for the leg's rate slot."""
-        effects: list[Effect] = []
-        for servo in leg.servos:
-            if servo.waiting is not None and servo.waiting.op is OP_STOP:
-                servo.waiting = servo.from_cdeg = None
-                # If a stream above the rate keeps stopping a stopped servo, the repeats suffice.
-                if servo.running or not servo.repeats_left:
-                    stop = OneServo(servo.servo_id, STOP)
-                    effects.append(Transmit(stop, Cause.COMMAND, None, (command,)))
-                    self._stopped(servo, now_ns)
-                effects += self._target_done(command)
-        return effects
-
     def _send(self, leg: Leg, now_ns: int, cause: Cause = Cause.COMMAND) -> list[Effect]:
-        """Return the frame for this leg's waiting targets, if it may leave now. Stops alone need no rate slot."""
+        """Return the frame for this leg's waiting targets, if it may leave now."""
         held = () if self.fed is None else self._held()
         waiting: list[tuple[Servo, ServoOp]] = []
-        moves = starts = False
+        starts = False
         for servo in leg.servos:
             op = servo.waiting
             if op is not None and servo not in held:
                 waiting += [(servo, op)]
-                if op.op is not OP_STOP:
-                    moves, starts = True, starts or servo.angle_cdeg is None
-        if not moves:
+                starts = starts or servo.angle_cdeg is None
+        if not waiting:
             return []
         queue, slots = self._queue, leg.slots
         if (queue.legs or (starts and queue.pause_ns)) and not queue.passes(leg.number, slots, now_ns, starts):
@@ -348,23 +335,20 @@ class Legs:
             waiting = self._speeds.in_steps(leg, waiting, now_ns)
         frame = frame_of(leg, waiting)
         wire = self.limits.wire  # here alone, users' angles become the servos' own; a Stop has no angle
-        commands, done = self._note_written(leg, waiting, now_ns)
+        commands, done = self._note_written(leg, waiting)
         return [Transmit(frame if wire is None else wire.frame(frame), cause, None, commands, done)]
 
     def _note_written(
-        self, leg: Leg, written: list[tuple[Servo, ServoOp]], now_ns: int
+        self, leg: Leg, written: list[tuple[Servo, ServoOp]]
     ) -> tuple[tuple[Command, ...], tuple[Command, ...]]:
         """Record a frame with these operations. Return the commands that it carries out, and those it completes."""
         commands: tuple[Command, ...] = ()
         done: tuple[Command, ...] = ()
         for servo, op in written:
             target, servo.waiting = servo.waiting, None
-            if op.op is OP_STOP:
-                self._stopped(servo, now_ns)
-            else:
-                servo.angle_cdeg, servo.from_cdeg = op.angle_cdeg, None
-                servo.repeats_left = 0  # started again: a repeated Stop would undo it
-                leg.expired = False
+            servo.angle_cdeg, servo.from_cdeg = op.angle_cdeg, None
+            servo.repeats_left = 0  # started again: a repeated Stop would undo it
+            leg.expired = False
             if not servo.begun:
                 command = servo.waiting_for
                 commands += () if command in commands else (command,)

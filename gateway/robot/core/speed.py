@@ -9,7 +9,7 @@ from collections.abc import Iterable
 
 from gateway.allowance import NS_PER_S
 from gateway.model.angle_limits import AngleLimits
-from gateway.model.frames import OP_START, OP_STOP, SETS, STARTS, ServoOp
+from gateway.model.frames import OP_START, SETS, STARTS, ServoOp
 from gateway.robot.core.leg import Leg, Rules, Servo
 
 
@@ -72,7 +72,7 @@ class LimitedSpeeds:
     # mutants accepted (Forget): only time is lost
     def in_steps(self, leg: Leg, waiting: list[tuple[Servo, ServoOp]], now_ns: int) -> list[tuple[Servo, ServoOp]]:
         """Return the operations in the frame that leaves now: with a speed limit, steps towards the waiting targets."""
-        steps = [(servo, op if op.op is OP_STOP else self._step(servo, op, now_ns)) for servo, op in waiting]
+        steps = [(servo, self._step(servo, op, now_ns)) for servo, op in waiting]
         leg.eases = any(servo.eases or servo.from_cdeg is not None for servo in leg.servos)
         if len(waiting) == 2:
             (idle,) = {*leg.servos} - {servo for servo, _ in waiting}

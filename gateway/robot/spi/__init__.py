@@ -101,7 +101,10 @@ class Wire(ABC):
 
     @abstractmethod
     def write(self, frames: Sequence[Frame], *, preamble: bool = False) -> BatchReport:
-        """Write frames that all stop, or that all move. `preamble` marks Stops of a repeated run. Return any fault."""
+        """Write frames that all stop, or that all move. `preamble` marks Stops of a repeated run. Return any fault.
+
+        A Stop in a frame that moves only repeats that its servo is off: a first Stop is a frame of its own.
+        """
 
     @abstractmethod
     def close(self) -> None:

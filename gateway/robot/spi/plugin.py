@@ -81,7 +81,7 @@ class PluginDevice(SpiDevice):
         changes: tuple[tuple[int, float | None], ...] = tuple(
             (servo_id, None if stops else op.angle_cdeg / 100)
             for servo_id, op in ops.items()
-            if stops or op.op is not OP_STOP  # in a frame that moves a leg, a Stop is for a servo that does not run
+            if stops or op.op is not OP_STOP  # a frame that moves repeats it for servos that are off
         )
         if stops and self._wire.capabilities.whole_robot:
             changes = _STOP_ALL

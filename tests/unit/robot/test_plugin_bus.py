@@ -1,5 +1,6 @@
 """A plug-in (`gateway.wire`) that does what no wire should: a Stop, and a rule, never depend on its author's care."""
 
+import asyncio
 import importlib.metadata
 import os
 import sys
@@ -15,8 +16,11 @@ from gateway.host.descriptors import SPARES, Spare
 from gateway.host.settings_table import WireSettings
 from gateway.model.frames import stop_leg
 from gateway.robot.settings import Settings
+from gateway.robot.spi import Wire
 from gateway.robot.spi.plugin import plugin_bus
 from gateway.wire import GROUP, Capabilities, ServoWire
+from schemas import keys
+from tests.support.robot import Robot, leg
 
 
 class Exits(ServoWire):
@@ -39,11 +43,49 @@ class Exits(ServoWire):
         pass
 
 
+class Keeps(ServoWire):
+    """Keeps its calls."""
+
+    calls: ClassVar[list[dict[int, float | None]]] = []
+
+    def open(self) -> None:
+        self.calls.clear()
+
+    def apply(self, changes: Sequence[tuple[int, float | None]]) -> None:
+        self.calls.append(dict(changes))
+
+    def close(self) -> None:
+        pass
+
+
+class Plugged(Robot):
+    """A robot whose wire is a plug-in that keeps its calls; its service has begun."""
+
+    def __init__(self) -> None:
+        super().__init__({"wire": {"name": "keeps"}})
+        self.conductor.start()
+
+    def wire(self) -> Wire:
+        return plugin_bus(self.settings.wire)
+
+
 @pytest.fixture(autouse=True)
 def installed(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = EntryPoint("exits", f"{__name__}:Exits", GROUP)
+    found = tuple(EntryPoint(each.lower(), f"{__name__}:{each}", GROUP) for each in ("Exits", "Keeps"))
     early = EntryPoint("early", "sys:exit", GROUP)
-    monkeypatch.setattr(importlib.metadata, "entry_points", lambda **_: (found, early))
+    monkeypatch.setattr(importlib.metadata, "entry_points", lambda **_: (*found, early))
+
+
+@pytest.mark.virtual_time
+async def test_a_stop_beside_moves_comes_first_in_a_call_of_its_own_and_the_answer_after_both() -> None:
+    robot = Plugged()
+    robot.put(keys.leg_command(1), leg("start", 90, 90, 90))
+    await asyncio.sleep(0.1)
+    Keeps.calls.clear()
+    ops = {"servos": [{"op": "stop"}, *({"op": "set", "angle_deg": angle} for angle in (80, 70))]}
+    assert robot.ask(keys.leg_command(1), ops).accepted
+    assert Keeps.calls == [{11: None}, {12: 80, 13: 70}]
+    assert [servo.running for servo in robot.state().legs[0].servos] == [False, True, True]
 
 
 def test_one_that_calls_exit_is_a_bug_and_the_other_servos_are_stopped() -> None:

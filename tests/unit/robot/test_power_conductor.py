@@ -270,6 +270,18 @@ async def test_a_stop_of_one_servo_takes_its_supply_at_once_and_is_confirmed() -
     assert shutdowns(robot) > before, "with the last, the UART's too"
 
 
+@pytest.mark.parametrize("kind", [FedRobot, FedElkapod])
+async def test_a_stop_beside_moves_takes_its_servos_supply_at_once(kind: type[FedRobot] | type[FedElkapod]) -> None:
+    robot = kind(watchdog={"timeout_ms": 10_000})
+    await asyncio.sleep(UP_S)
+    await starts(robot)
+    ops = {"servos": [{"op": "stop"}, *[{"op": "set", "angle_deg": 80}] * 2]}
+    answers = robot.get(LEG_3, ops)
+    assert robot.line.fed() == {32, 33}
+    await asyncio.sleep(0.1)
+    assert (running(robot), robot.line.fed(), [ack.accepted for ack in answers]) == ([32, 33], {32, 33}, [True])
+
+
 async def test_a_servo_that_its_supply_started_may_draw_current_while_others_wait_for_theirs() -> None:
     robot = FedElkapod()
     robot.line.board.draws_ma = [300.0] * len(SERVO_IDS)

@@ -1,11 +1,11 @@
 """The supervisor under random commands, delays, faults and settings, with a controller that does what the frames say.
 
-The oracle judges every step; the controller says which servos are really energised. Time may jump over any number of
-deadlines, and any transfer may fail.
+The oracle judges every step; the controller, and a plug-in in its place, say which servos are really energised. Time
+may jump over any number of deadlines, and any transfer may fail.
 """
 
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import pytest
@@ -20,6 +20,9 @@ from gateway.model.frames import STOP, Framing, Op, ServoOp, decode, servo_ids_o
 from gateway.robot.core import events
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.supervisor import Supervisor
+from gateway.robot.spi import Transfer
+from gateway.robot.spi.plugin import PluginDevice
+from gateway.wire import ServoWire
 from schemas.calibration import CalibrationCommand, ServoChange
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Kind, Mode
@@ -147,6 +150,23 @@ def numbered(effect: events.Effect) -> object:
     return effect
 
 
+class Plugged(ServoWire):
+    """A plug-in that starts a servo with its first angle."""
+
+    energised: frozenset[int] = frozenset()
+
+    def open(self) -> None:
+        pass
+
+    def apply(self, changes: Sequence[tuple[int, float | None]]) -> None:
+        moved = {servo_id for servo_id, angle_deg in changes if angle_deg is not None}
+        assert len(moved) in (0, len(changes)), "a call has only Stops, or none"
+        self.energised = self.energised | moved if moved else self.energised - {servo_id for servo_id, _ in changes}
+
+    def close(self) -> None:
+        pass
+
+
 class SupervisorMachine(RuleBasedStateMachine):
     """One supervisor, its judge and its robot."""
 
@@ -165,6 +185,8 @@ class SupervisorMachine(RuleBasedStateMachine):
             supervisor.calibrating.load(calibration, fault)
         self.oracle = Oracle(rules, calibration=calibration, fault=fault)
         self.controller = FaultyController(Framing.PLAIN, clock=lambda: self.now_ns)
+        self.plugged = Plugged({})
+        self.plugin = PluginDevice("plugged", self.plugged, exclusive=False)
         self.number = 1
         self.instant_ns: int | None = None
         if self.now_ns > 1:  # else it may be opened later, or not at all
@@ -190,14 +212,18 @@ class SupervisorMachine(RuleBasedStateMachine):
         demand(self.supervisor.mode in TRANSITIONS[mode][type(event)], f"{mode} leads to {self.supervisor.mode}")
         self.oracle.judge(event, self.now_ns, effects, self.supervisor, self.instant_ns)
         fault: SpiError | None = None
+        batches: dict[bool, list[Transfer]] = {True: [], False: []}
         for effect in effects:
             if isinstance(effect, events.Transmit) and (fault is None or effect.frame.is_stop):
                 data = effect.frame.data
                 assert decode(data) == effect.frame
                 try:
                     self.controller.take(data)
+                    batches[effect.frame.is_stop].append((data, 0))
                 except SpiError as error:
                     fault = error
+        for batch in filter(None, batches.values()):
+            self.plugin.transfer(batch)
         if fault is not None:
             self.step(events.BusFailed(str(fault)))
 
@@ -257,7 +283,7 @@ class SupervisorMachine(RuleBasedStateMachine):
         assert not self.controller.corruptions
         if self.supervisor.mode in (Mode.IDLE, Mode.ACTIVE, Mode.ESTOPPED):
             running = {servo.servo_id for servo in self.supervisor.legs.servos.values() if servo.running}
-            assert self.controller.energised == running == self.oracle.energised
+            assert self.controller.energised == running == self.oracle.energised == self.plugged.energised
 
     @invariant()
     def what_is_due_is_known(self) -> None:

@@ -138,10 +138,17 @@ SCENES: Final = {
         2999.999 unnumbered → rejected 1 estopped
         says the emergency stop was requested 2.0 s ago; a reset without its number (estop) is accepted after 2 s
         3000 unnumbered → announce estop_reset; completed 2""",
+    "a stop beside moves leaves first in a frame of its own": """
+        10 leg 1 start 90
+        50 leg 1 stop | set 80 | set 80 → command 11 stop; command 1 stop | set 80 | set 80; completed 2
+        51 leg 1 stop | set 70 | stop → command 11 stop; command 13 stop  # the set waits for its rate slot
+        due 55
+        55 time → command 12 set 70; completed 3""",
     "where nothing runs a first stop of a step is not repeated with those that are due": """
         rules repeats=1
         5000 leg 2 stop
-        5020 leg 1 start 90 | stop | stop → repeat 2 stop; command 1 start 90 | stop | stop; completed 2""",
+        5020 leg 1 start 90 | stop | stop
+            → command 12 stop; command 13 stop; repeat 2 stop; command 11 start 90; completed 2""",
     # An earlier run may have left one engaged.
     "until it is known an emergency stop counts as engaged and no reset leaves it": """
         rules estop_kept=True
