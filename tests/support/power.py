@@ -6,7 +6,7 @@ from typing import Any, Final, cast
 
 from gateway.allowance import NS_PER_S
 from gateway.robot.power.board import Confirmed, News, Status
-from gateway.robot.power.line import PowerLine
+from gateway.robot.power.line import SHOWN, PowerLine
 from gateway.robot.service import BEAT_S
 from tests.support.elkapod import ElkapodRobot
 from tests.support.power_link import Link
@@ -44,7 +44,7 @@ class VirtualLine(Link):
         before, self._status = self._status, self.ours.status
         news = [item for _, item in self.told]
         self.told.clear()
-        if news or before[:7] != self._status[:7]:
+        if news or before[SHOWN] != self._status[SHOWN]:
             self.on_news(news)
         self._loop.call_later(PUMP_NS / NS_PER_S, self._pump)
 

@@ -107,6 +107,9 @@ class Status(NamedTuple):
     """Confirmed to be powered since they were last wanted."""
     changes: int = 0  # mutants accepted (Step): nothing is fed
     """The number of the newest `want`."""
+    taken: frozenset[int] = frozenset()
+    """Those of `lost` that another node, or the board by itself, has switched off; the others are lost to a silence, or
+    refused."""
     answered_ns: int | None = None
     currents_ma: Mapping[int, int] = {}
     """The current of each servo, if measured since the board answers."""
@@ -127,7 +130,7 @@ class PowerBoard:
         # The wanted state.
         self._cut = False
         self._changes = 0
-        self._wanted = self._lost = _NONE
+        self._wanted = self._lost = self._taken = _NONE
         self._unknown = _NONE
         """Lost to a silence: perhaps still powered, for landing. Only the owner's wish puts them off in a mask."""
         self._kept = frozenset(outputs)
@@ -171,6 +174,7 @@ class PowerBoard:
         """
         self._changes = number
         self._lost = servos & (self._lost | self._refused.keys())
+        self._taken &= servos
         self._unknown &= servos
         if self._cut and servos:
             return
@@ -242,6 +246,7 @@ class PowerBoard:
             self._refused,
             frozenset(self._fed),
             self._changes,
+            self._taken,
             self._questions.answered_ns,
             dict(self._milliamperes),
             dict(self._rails),
@@ -397,7 +402,7 @@ class PowerBoard:
             servo for servo, at_ns in self._fed.items() if servo not in shown and at_ns < self._questions.reached_ns
         }
         if gone:
-            self._lose(frozenset(gone), "the power board has switched these off by itself", now_ns)
+            self._lose(frozenset(gone), "the power board has switched these off by itself", now_ns, taken=True)
         if reached == self._number:
             for servo in shown & self._target & self._sent - self._fed.keys():
                 self._fed[servo] = now_ns
@@ -416,9 +421,19 @@ class PowerBoard:
             if self._questions.two_boards and not before:
                 self._lose(frozenset(self._servos), _TWO, now_ns)
 
-    def _lose(self, servos: frozenset[int], why: str, now_ns: int, report: _Kind | None = "power_fault") -> None:
+    def _lose(
+        self,
+        servos: frozenset[int],
+        why: str,
+        now_ns: int,
+        report: _Kind | None = "power_fault",
+        *,
+        taken: bool = False,
+    ) -> None:
         """Record servos that went off by another cause. They stay off until they are wanted again."""
-        self._lost |= servos & self._wanted
+        lost = servos & self._wanted
+        self._lost |= lost
+        self._taken |= lost if taken else _NONE
         self._settle(now_ns)
         if report is not None:
             self.news.append(News(report, why, servos))
@@ -428,7 +443,7 @@ class PowerBoard:
         """Answer another node's mask with ours, without the servos that it cut, even those still waiting for on."""
         begins = self._begins(SET_SUPPLY, now_ns)
         why = "another program switches servos through the power board"
-        self._lose(self._target - theirs, why, now_ns, "power_fault" if begins else None)
+        self._lose(self._target - theirs, why, now_ns, "power_fault" if begins else None, taken=True)
         self._anew(theirs - self._kept, now_ns)
         self._repeat_until_ns = now_ns + REPEAT_FOR_NS
         # Unlike our own masks, answers to another node wait: it may flood the bus.

@@ -32,7 +32,7 @@ POLL_S: Final = 0.01
 """How long the receiver waits for a frame, and so its latest check of the time."""
 SEND_S: Final = 0.1
 """How long a frame may wait to be sent, if python-can respects that. Later, the interface hangs or the bus is off."""
-_SHOWN: Final = slice(Status._fields.index("answered_ns"))
+SHOWN: Final = slice(Status._fields.index("answered_ns"))
 """The fields of a status whose change is news."""
 
 
@@ -211,5 +211,5 @@ class PowerLine:
             due = self._board.due_ns <= now_ns
         if due:
             self._awake()
-        if news or before[_SHOWN] != self.status[_SHOWN]:
+        if news or before[SHOWN] != self.status[SHOWN]:
             self.on_news(news)

@@ -218,8 +218,9 @@ class RobotSupply:
         if self._cut and status.supplied & self._asked:
             self._cut = False
             announcements.append(Announce(Kind.POWER_RESTORED, "the power board feeds servos again"))
-        if status.alive and self._supervisor.power.alive:  # another program took it, such as `stop-servos`
-            self._withheld |= dict.fromkeys(status.lost - status.refused.keys(), _TAKEN)
+        self._withheld |= dict.fromkeys(status.taken - status.refused.keys(), _TAKEN)  # such as by `stop-servos`
+        if status.lost - status.taken - status.refused.keys():  # a silence, perhaps over by now: it may have restarted
+            self._trusted = self._ready is not None
         refused = self._withheld | {servo: f"{why}; a reset feeds it again" for servo, why in status.refused.items()}
         fed = self._fed if self._trusted else _NONE
         return PowerSeen(status.alive, tuple(sorted(refused.items())), fed, status.lost, doubt), announcements

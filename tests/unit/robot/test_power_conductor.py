@@ -235,6 +235,26 @@ async def test_what_landed_while_the_board_was_silent_starts_without_a_reset() -
     await starts(robot)
 
 
+@pytest.mark.parametrize("late_s", [0.0, 0.01, 0.02, 0.05])
+@pytest.mark.parametrize("kind", [FedRobot, FedElkapod])
+async def test_after_a_short_silence_a_new_start_is_enough_however_late_the_loop_is(
+    kind: type[FedRobot] | type[FedElkapod], late_s: float
+) -> None:
+    robot = kind(watchdog={"timeout_ms": 10_000})
+    await asyncio.sleep(UP_S)
+    await starts(robot)
+    handle = robot.line.on_news
+    robot.line.on_news = lambda news: robot.loop.call_later(late_s, handle, news) and None
+    robot.line.cable = False
+    while robot.line.ours.alive:
+        await asyncio.sleep(0.001)
+    robot.line.cable = True
+    await asyncio.sleep(0.2)
+    assert running(robot) == []
+    await starts(robot)
+    assert "another program" not in str(robot.events())
+
+
 @pytest.mark.parametrize("how", ["button", "CAN"])
 async def test_the_off_button_is_an_emergency_stop(how: str) -> None:
     robot = await runs()
