@@ -18,6 +18,7 @@ from typing import Final, Literal, NamedTuple
 from gateway.allowance import NS_PER_MS
 from gateway.model.power_board import (
     ASK_CURRENTS,
+    CLEAR_ERROR,
     GOING_OFF,
     OFF_PRESSED,
     SET_SUPPLY,
@@ -200,7 +201,11 @@ class PowerBoard:
         self._waits.append(_Wait(then, servos, asked_ns, self._cut_by(servos, self._number)))
 
     def clear_errors(self, now_ns: int) -> None:
-        """Delete all errors of the board, so that it powers blocked servos once they are wanted again."""
+        """Delete all errors of the board, so that it powers blocked servos once they are wanted again.
+
+        Their outputs come on if the board's newest mask has them, which may be another node's. So ours is sent anew.
+        """
+        self._anew(frozenset(self._servos) - self._kept, now_ns)
         self._errors.delete(now_ns)
         # mutants accepted (Step): one more answer ends a row, too
         self._questions.doubles = 0  # one of two boards may have been unplugged
@@ -315,7 +320,10 @@ class PowerBoard:
         # An output whose error is deleted before the board has a mask without it would come on again.
         reached = self._questions.reached
         without = self._cut_by(self._refused, reached) <= reached
-        frames += self._errors.next_frames(now_ns, without=without)
+        errors = self._errors.next_frames(now_ns, without=without)
+        if CLEAR_ERROR in errors and not frames:
+            frames = [self._send(now_ns)]
+        frames += errors
         if now_ns >= self._questions.due_ns:
             frames += self._questions.next(self._number, now_ns)
         return frames

@@ -115,6 +115,8 @@ class RobotSupply:
         """`Legs.to_feed` after the latest step."""
         self._changes = 0
         """How often `_asked` has changed. A confirmation of an earlier value does not count for the present one."""
+        self._cause: tuple[str | None, int] = None, 0
+        """Why all supply is cut, and the number of the newest emergency stop; as of the latest step."""
         self._cut = False
         self._trusted = False
         """Whether a powered servo was seen at rest since the last fault, or supply starts servos."""
@@ -139,6 +141,9 @@ class RobotSupply:
             self._withheld |= dict.fromkeys(self._asked, _TAKEN)  # `stop-servos` cuts power even if nothing shows it
         if why or outside or not supervisor.power.alive:
             self._trusted = self._ready is not None
+        if why and (why, supervisor.latch.number) != self._cause:  # even if nothing was asked: others may have fed it
+            self.line.request(PowerBoard.cut)
+        self._cause = why, supervisor.latch.number
         cuts = why is not None and bool(self._asked)
         self._cut = self._cut or cuts
         self._to_feed = supervisor.legs.to_feed()

@@ -7,8 +7,10 @@ from typing import Final
 
 import pytest
 
+from gateway.errors import SpiError
 from gateway.model.power_board import SERVO_OVERCURRENT, CanFrame, set_supply
 from gateway.robot.core.events import StoppedOutside
+from gateway.robot.power.board import Confirmed, News
 from schemas import keys
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Kind, Mode, Reason, Supply, Telemetry
@@ -224,6 +226,50 @@ async def test_what_takes_the_supply_stops_all_of_the_leg_and_nothing_starts_bef
     await starts(robot)
 
 
+THEIRS: Final = 0b111_111_000_000_111_111
+"""A mask of another program that we do not receive, as `stop-servos` and others on one slcan adapter."""
+
+
+@pytest.mark.parametrize("kind", [FedRobot, FedElkapod])
+@pytest.mark.parametrize("order", ["mask, estop, reset", "estop, mask, reset", "mask, reset", "mask, fault, reset"])
+async def test_a_reset_feeds_no_output_of_another_programs_mask(
+    kind: type[FedRobot] | type[FedElkapod], order: str
+) -> None:
+    robot = kind()
+    await asyncio.sleep(UP_S)
+    board, fed = robot.line.board, frozenset[int]()
+    for what in order.split(", "):
+        if what == "mask":
+            board.take(set_supply(THEIRS), robot.now_ns())
+            board.fail(SERVO_OVERCURRENT, THEIRS)
+        elif what == "fault":
+            robot.conductor.bus_failed(SpiError("EIO"))
+        else:
+            robot.put(getattr(keys, what.upper()), {"estop": 1} if "estop" in order and what == "reset" else {})
+        for _ in range(1500):
+            await asyncio.sleep(0.001)
+            fed |= robot.line.fed()
+    assert fed == frozenset()
+    assert robot.line.status.refused == {}, "the errors are deleted"
+    await starts(robot)
+
+
+@pytest.mark.parametrize("how", ["estop", "off button", "SPI"])
+async def test_whatever_takes_all_supply_is_sent_even_if_nothing_should_be_fed(how: str) -> None:
+    """Another program's mask may be the board's newest."""
+    robot = await ready()
+    robot.line.board.take(set_supply(THEIRS), robot.now_ns())
+    if how == "estop":
+        robot.put(keys.ESTOP)
+    elif how == "off button":
+        robot.line.board.press_button(robot.now_ns())
+    else:
+        robot.conductor.bus_failed(SpiError("EIO"))
+    for _ in range(1500):
+        await asyncio.sleep(0.001)
+        assert robot.line.fed() == frozenset()
+
+
 async def test_what_landed_while_the_board_was_silent_starts_without_a_reset() -> None:
     robot = await runs(watchdog={"landing_ms": 500})
     robot.line.cable = False
@@ -244,10 +290,14 @@ async def test_after_a_short_silence_a_new_start_is_enough_however_late_the_loop
     await asyncio.sleep(UP_S)
     await starts(robot)
     handle = robot.line.on_news
-    robot.line.on_news = lambda news: robot.loop.call_later(late_s, handle, news) and None
+
+    def later(news: list[News | Confirmed]) -> None:
+        robot.loop.call_later(late_s, handle, news)
+
+    robot.line.on_news = later
     robot.line.cable = False
-    while robot.line.ours.alive:
-        await asyncio.sleep(0.001)
+    for _ in range(200):
+        await asyncio.sleep(0.001 * robot.line.ours.alive)
     robot.line.cable = True
     await asyncio.sleep(0.2)
     assert running(robot) == []
@@ -299,7 +349,11 @@ async def test_a_stop_beside_moves_takes_its_servos_supply_at_once(kind: type[Fe
     answers = robot.get(LEG_3, ops)
     assert robot.line.fed() == {32, 33}
     await asyncio.sleep(0.1)
-    assert (running(robot), robot.line.fed(), [ack.accepted for ack in answers]) == ([32, 33], {32, 33}, [True])
+    assert (running(robot), robot.line.fed(), [ack.accepted for ack in answers]) == (
+        [32, 33],
+        frozenset({32, 33}),
+        [True],
+    )
 
 
 async def test_a_servo_that_its_supply_started_may_draw_current_while_others_wait_for_theirs() -> None:
