@@ -378,10 +378,10 @@ class ServoLimitsReport(Report):
 
 
 class Battery(Report):
-    """The robot's battery; percent as the robot reports it."""
+    """The robot's battery, as the controller measures it, else the power board."""
 
     voltage_v: Annotated[float, Field(description="as measured")]
-    percent: Annotated[float, Field(description="as the controller sends it")]
+    percent: Annotated[float | None, Field(description="as the controller sends it; null: by the power board")]
 
 
 class Imu(Report):

@@ -258,13 +258,13 @@ class TelemetrySettings(Section):
 
 @dataclass(frozen=True)
 class SafetySettings(Section):
-    min_battery_v: float = _setting(0.0, "lowest battery voltage for starts (Behaviour *Measurements*); 0: any", (0, 100))
+    min_battery_v: float = _setting(0.0, "lowest battery voltage for starts (Behaviour *Measurements*), which the controller or a power board measures; 0: any", (0, 100))
     max_tilt_deg: float = _setting(0.0, "tilt (10 at least) that stops or lands the robot; 0: any", (0, 90), fault=_beyond_walking)
 
 
 @dataclass(frozen=True)
 class PowerSettings(Section):
-    interface: str = _setting("", 'the board that feeds the servos (Behaviour *Power*): `"sim"`, or an interface of python-can, such as `"socketcan"` (also for gs_usb) or `"slcan"`; `""`: none', fault=_interface)
+    interface: str = _setting("", 'the board that feeds the servos (Behaviour *Power*): `"sim"` (with a simulated controller only), or an interface of python-can, such as `"socketcan"` (also for gs_usb) or `"slcan"`; `""`: none', fault=_interface)
     channel: str = _setting("can0", 'its channel, such as `"can0"` or `"/dev/ttyACM0"`')
     servos: tuple[int, ...] = _setting((), "the servo on each output, 1 to 18; `[]`: 11, 12, 13, 21 … 63. `check --move` tests one", fault=_each_once)
     # It answers within 55 ms; where a mask meets its counter one pass after an answer, within 394 ms.

@@ -46,6 +46,11 @@ class Settings(settings_table.Section):
         return self.wire.capabilities.whole_robot and not singly
 
     @property
+    def wire_measures(self) -> bool:
+        """Whether measurements come over the wire. A plug-in has no way to pass them on."""
+        return self.wire.built_in is not None and self.wire.capabilities.measures
+
+    @property
     def measures(self) -> bool:
         """Whether the wire or a power board measures anything for telemetry."""
         return self.wire.capabilities.measures or bool(self.power.interface)
@@ -91,10 +96,9 @@ class Settings(settings_table.Section):
         if self.limits.start_stagger_ms >= self.watchdog.timeout_ms:
             longest = f"watchdog.timeout_ms, {self.watchdog.timeout_ms:g}"
             yield _STAGGER, f"a leg's start may not wait for as long as {longest}"
-        # A plug-in has no way to pass measurements on, so a limit on them would never stop anything.
-        measured = self.wire.built_in is not None and self.wire.capabilities.measures
         for each in fields(self.safety):
-            if getattr(self.safety, each.name) and not measured:
+            by_board = each.name == "min_battery_v" and self.power.interface
+            if getattr(self.safety, each.name) and not (self.wire_measures or by_board):
                 yield ("safety", each.name), f"{wire} has nothing that measures it; leave it at 0"
         for servo, angle_deg in self.watchdog.landing.items():
             limits = self.limits.servos.get(servo, settings_table.ServoLimits())
@@ -103,6 +107,10 @@ class Settings(settings_table.Section):
                 yield ("watchdog", "landing", servo), f"{angle_deg:g} is not allowed: {allowed}"
 
 
+SIMULATED_BOARD: Final = (
+    'with a real controller, a simulated board ("sim") would confirm Stops that nothing has carried out; set the '
+    'interface of the real board, or "" for none; without a robot: run --sim'
+)
 _STAGGER: Final = ("limits", "start_stagger_ms")
 
 
@@ -123,8 +131,8 @@ def load(path: Path | None = None, *, simulated: bool = False) -> Settings:
     """Return the settings from `path` (None: the default file, if there is one) and the environment.
 
     Raises ConfigError with one line for each fault; the line names the file's entry or the variable. Unless the
-    controller is `simulated`, spi.framing must be set: plain frames overrun the published firmware's buffer, after
-    which no Stop reaches its servos until a reset.
+    controller is `simulated`, the power board must be real, and spi.framing must be set: plain frames overrun the
+    published firmware's buffer, after which no Stop reaches its servos until a reset.
     """
     tables, variables = _read(path), _variables()
     in_file, faults = list[Fault](), list[Fault]()
@@ -134,6 +142,8 @@ def load(path: Path | None = None, *, simulated: bool = False) -> Settings:
     lines = [_line(path, fault) for fault in in_file]
     lines += [_line(path, fault, variables) for fault in faults if fault not in in_file]
     if not simulated:
+        if found.power.interface == settings_table.SIMULATED:
+            lines.append(_line(path, (("power", "interface"), SIMULATED_BOARD), variables))
         _require_framing(path, found.wire, tables.get("spi", {}), lines)
     _raise(lines)
     return found

@@ -79,7 +79,7 @@ _KNOWN: Final = (
     (_ROBOT.latch, "_rules _legs number since_ns unknown"),
     (_ROBOT.lease, "_rules _legs holder since_ns due_ns closed _token _askers"),
     (_ROBOT.buttons, "_rules _legs _by_token closed alive due_ns objection down"),
-    (_ROBOT.body, "_rules _legs watches low beyond_ns objection"),
+    (_ROBOT.body, "_rules _legs watches low unknown closed beyond_ns objection"),
     (_ROBOT.power, "_rules _legs alive closed _refused"),
     (_ROBOT.backlog, "_rules _legs _most _came_ns _until_ns held"),
     (Registration, "name holder counts count until_ns silent offset_ns newest_ns least_ns"),
@@ -206,7 +206,12 @@ def _body_key(supervisor: Supervisor, now_ns: int) -> tuple[object, ...]:
     body, tilt_ns = supervisor.body, supervisor._rules.tilt_ns
     age_ns = None if body.beyond_ns is None else now_ns - body.beyond_ns
     landing_ns = supervisor._rules.landing_ns
-    return body.low, body.down is not None, age_ns if age_ns is None else min(age_ns, tilt_ns + landing_ns)
+    return (
+        body.low,
+        body.unknown,
+        body.down is not None,
+        age_ns if age_ns is None else min(age_ns, tilt_ns + landing_ns),
+    )
 
 
 def _backlog_key(supervisor: Supervisor, now_ns: int) -> tuple[object, ...]:

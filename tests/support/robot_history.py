@@ -32,13 +32,15 @@ class BodyHistory:
     def __init__(self, rules: Rules) -> None:
         self.rules = rules
         self.low = self.fallen = False
+        self.unknown = rules.min_battery_mv > 0
+        """A battery with a limit that was not measured yet may be empty."""
         self.tilted_ns: int | None = None
         """The first measurement of the present time beyond the limit."""
 
     def key(self, now_ns: int) -> tuple[object, ...]:
         """What of it still matters."""
         age_ns = None if self.tilted_ns is None else min(now_ns - self.tilted_ns, self.rules.tilt_ns)
-        return self.low, self.fallen, age_ns
+        return self.low, self.unknown, self.fallen, age_ns
 
     def judge(self, event: BodyMeasured | None, now_ns: int, effects: Sequence[Effect]) -> None:
         """Take a measurement, and judge what is announced of it; None: another event came, and nothing is."""
@@ -50,7 +52,7 @@ class BodyHistory:
         demand(kinds[1] == (self.fallen and not before[1]), "a fall is announced once")
 
     def _take(self, event: BodyMeasured, now_ns: int) -> None:
-        limit_mv = self.rules.min_battery_mv
+        limit_mv, self.unknown = self.rules.min_battery_mv, False
         if event.battery_mv < limit_mv:
             self.low = True
         elif event.battery_mv >= limit_mv + limit_mv // 50:
@@ -273,7 +275,7 @@ class RobotHistory:
         if moves:
             closed = closed or self.reason_to_move_nothing(command.lease) or self.too_few_buttons
             needs_battery = any(not servo.on and not servo.starts for servo, _, _ in moves)
-            unfit = Reason.BATTERY_LOW if self.body.low and needs_battery else None
+            unfit = Reason.BATTERY_LOW if (self.body.low or self.body.unknown) and needs_battery else None
             closed = closed or (Reason.FALLEN if self.body.fallen else unfit)
             moved = [servo_id for _, servo_id, _ in moves]
             closed = closed or self.power.reason_to_reject(moved) or self.calibration.reason_to_reject(moved)

@@ -205,7 +205,8 @@ def power(robot: CheckedRobot) -> Iterator[Result | None]:
                     "sudo systemctl restart systemd-networkd"),
         ]
     elif settings.interface == "sim":
-        rows = [warning(path, "is simulated: no servo loses its supply", 'set power.interface; "" is none')]
+        rows = [failure("--sim" not in robot.unit.get("Environment", ""), "is simulated: no servo loses its supply",
+                        'set power.interface; "" is none')]
     yield _opened("power board", path, lambda: open_bus(settings).shutdown(), "see dmesg, and the settings of [power]",
                   rows=rows, runs=robot.gateway_runs, opens="opens; `status` shows whether the board answers")
 

@@ -68,7 +68,8 @@ def sentences(state: GatewayState) -> list[str]:
     found.append(f"{spi.frames} frames to {device} ({spoken}), {spi.errors} SPI errors.")
     found.append(_controller(state, state.controller.age_ms))
     if battery is not None:
-        found.append(f"Battery: {battery.voltage_v:.2f} V, {battery.percent:.0f} %.")
+        charge = "" if battery.percent is None else f", {battery.percent:.0f} %"
+        found.append(f"Battery: {battery.voltage_v:.2f} V{charge}.")
     alarm = PowerAlarm()
     alarm.received_state(state, 0)
     found.append(f"{asked['power']} {alarm.sentence}".strip())

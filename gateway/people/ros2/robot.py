@@ -150,7 +150,7 @@ def measured(found: Telemetry, time_ns: int, base: str = BASE, imu_frame: str = 
                 header,
                 voltage=voltage_v if abs(voltage_v) < _MOST_FLOAT32 else math.nan,
                 **dict.fromkeys(("temperature", "current", "charge", "capacity", "design_capacity"), math.nan),
-                percentage=percent / 100 if 0 <= percent <= 100 else math.nan,
+                percentage=percent / 100 if percent is not None and 0 <= percent <= 100 else math.nan,
                 present=True,
             ),
         )

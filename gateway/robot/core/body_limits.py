@@ -1,5 +1,6 @@
 """Forbids starts on an empty battery, and all motion of a body that has fallen. Pure.
 
+- With a limit, nothing starts before the battery's first measurement: an unknown battery may be empty.
 - The battery is low from the first measurement below `min_battery_mv` until one is `RECOVERS` above it. Meanwhile
   no stopped servo starts. Running servos continue, since a Stop would let the robot fall.
 - The body has fallen once it has been tilted beyond `max_tilt_cdeg` for `tilt_ns`: it fell, or was lifted. Nothing
@@ -34,6 +35,8 @@ class BodyLimits(Interlock[BodyMeasured]):
         """Whether any measurement matters."""
         self.low = False
         """Whether the battery is too low for a start."""
+        self.unknown = self.closed = rules.min_battery_mv > 0
+        """Whether the battery has a limit and was not measured yet."""
         self.beyond_ns: int | None = None
         """Since when the body is tilted beyond the limit, or None."""
         limit_deg = rules.max_tilt_cdeg / 100
@@ -45,12 +48,16 @@ class BodyLimits(Interlock[BodyMeasured]):
     def why_not(self, request: Any) -> Why | None:
         if self.down is not None:
             return self.objection
-        if self.low and any(not self._legs.servos[servo_id].will_run for servo_id, _ in request.moves):
+        closed = self.low or self.unknown
+        if closed and any(not self._legs.servos[servo_id].will_run for servo_id, _ in request.moves):
+            if self.unknown:
+                return Reason.BATTERY_LOW, "the battery has not been measured yet; nothing starts until it is"
             limit_v = self._rules.min_battery_mv / 1000
             return Reason.BATTERY_LOW, f"the battery is below {limit_v:g} V; nothing starts until it is charged"
         return None
 
     def take(self, event: BodyMeasured, now_ns: int) -> list[Effect]:
+        self.unknown = False
         effects = [*self._battery(event.battery_mv), *self._tilt(event.tilt_cdeg, now_ns)]
         self.closed = self.low or self.down is not None
         return effects

@@ -283,7 +283,7 @@ class Legs:
         effects: list[Effect] = []
         if command.lost:
             effects += self.drop(servos, Reason.OVERFLOW, _LOST)
-        # If a stream above the rate keeps stopping a stopped servo beside moves, the repeats suffice.
+        # If a stream above the rate keeps stopping a stopped servo of a leg that it moves, the repeats suffice.
         first = [servo for servo in servos if not beside or servo.running or not servo.repeats_left]
         effects += stops(leg, first, Cause.COMMAND, (command,))
         for servo in servos:

@@ -110,7 +110,7 @@ class Status(NamedTuple):
     """The number of the newest `want`."""
     taken: frozenset[int] = frozenset()
     """Those of `lost` that another node, or the board by itself, has switched off; the others are lost to a silence, or
-    refused."""
+    blocked."""
     answered_ns: int | None = None
     currents_ma: Mapping[int, int] = {}
     """The current of each servo, if measured since the board answers."""

@@ -194,8 +194,12 @@ class Conductor:
 
     def check_outside(self) -> None:  # mutants accepted (Forget): a tick too many does nothing
         """Check for `stop-servos` on the same device, changed settings, and stopped servos that draw current."""
-        if self.supply is not None and self.supply.judge_currents(self.clock()):
-            self._power_changed_soon(())
+        if self.supply is not None:
+            if self.supply.judge_currents(self.clock()):
+                self._power_changed_soon(())
+            battery_mv = self.supply.battery_mv
+            if battery_mv is not None and self.supervisor.body.watches and not self.settings.wire_measures:
+                self._step(BodyMeasured(None, battery_mv))
         silent = self.bus.silent(self.clock())  # here, too: a transfer that hangs keeps the cycle from this check
         if silent is not None:
             self.bus_failed(silent)

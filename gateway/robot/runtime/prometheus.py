@@ -97,6 +97,9 @@ class Numbers(Collector):
         yield _histogram("emergency_stop_latency", "Request to its sixth Stop written", metrics.emergency_stops)
         yield _histogram("loop_lag", "How late the loop's timers run", metrics.loop_lag)
         yield _histogram("spi_transfer", "Time of one SPI transfer", bus.transfer_latency)
+        if settings.measures:
+            battery = reports.battery()
+            yield _gauge("battery_volts", "The battery's voltage", None if battery is None else battery.voltage_v)
         if settings.wire.capabilities.measures:
             yield from _measured(conductor)
         power = reports.power()
@@ -108,7 +111,6 @@ def _measured(conductor: Conductor) -> Iterator[Metric]:
     """Yield the robot's measurements and its controller's health; without values before the first measurement."""
     events, bus, newest = conductor.metrics.events, conductor.bus, conductor.reports.newest
     values, answered_ns = newest and newest[0], bus.answered_ns
-    yield _gauge("battery_volts", "The battery's voltage", values and values.voltage_v)
     yield _gauge("battery_percent", "The battery's charge, as the robot reports it", values and values.percent)
     yield _gauge("temperature_celsius", "The temperature that the controller measures", values and values.temperature_c)
     yield _gauge("tilt_degrees", "Between the body's up and the world's", values and values.tilt_deg)

@@ -229,6 +229,12 @@ class RobotReports:
             age_ms=None if status.answered_ns is None else max(0, now_ns - status.answered_ns) / 1e6,
         )
 
+    def battery(self) -> telemetry.Battery | None:
+        """Return the battery as measured, or None if it is unknown. For any thread."""
+        if self.newest is not None:
+            return telemetry.Battery.model_validate(self.newest[0]._asdict())
+        return None if self.line is None else board_values(self.line.status, 0).get("battery")
+
     def measured(self) -> telemetry.Telemetry | None:
         """Return the measurements of the robot and its power board, or None without any. For any thread."""
         now_ns, time = self.clock(), wall_clock()
@@ -237,7 +243,7 @@ class RobotReports:
         if newest is not None:
             values, measured_ns = newest
             age_ms = max(found.get("age_ms", 0.0), (now_ns - measured_ns) / 1e6)
-            found = {**dict(report_of(values, time, age_ms)), **found, "age_ms": age_ms}
+            found = {**found, **{name: each for name, each in report_of(values, time, age_ms) if each is not None}}
         return telemetry.Telemetry.model_validate({**found, "time": time}) if found else None
 
     def config(self) -> telemetry.ConfigReport:
@@ -311,7 +317,7 @@ class RobotReports:
             ),
             buttons=telemetry.ButtonsAlive(alive=buttons.alive, names=buttons.names),
             controller=telemetry.ControllerReport(alive=bus.controller_alive, age_ms=answered_ms),
-            battery=None if self.newest is None else telemetry.Battery.model_validate(self.newest[0]._asdict()),
+            battery=self.battery(),
             power=self.power(),
         ).fitted()
 
@@ -328,6 +334,8 @@ def board_values(status: Status, now_ns: int) -> Mapping[str, Any]:
         }
     rails = status.rails
     currents, volts = rails.get(power_board.STANDBY_SUPPLY_MA), rails.get(power_board.SUPPLY_BATTERY_MV)
+    if volts is not None:
+        found["battery"] = telemetry.Battery(voltage_v=volts[1] / 1000, percent=None)
     if currents is not None and volts is not None:
         found["supply"] = telemetry.Supply(voltage_v=volts[0] / 1000, current_a=currents[1] / 1000)
     converters = [rails.get(each) for each in _CONVERTERS]

@@ -18,6 +18,7 @@ from typing import Final
 
 from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.model.frames import legs_of
+from gateway.model.power_board import SUPPLY_BATTERY_MV
 from gateway.robot.core.events import Announce, PowerSeen
 from gateway.robot.core.message import Received, Verb
 from gateway.robot.core.supervisor import Supervisor
@@ -185,6 +186,13 @@ class RobotSupply:
         """The servos that the board has confirmed to power since the latest request."""
         status = self.line.status
         return status.fed if status.changes == self._changes else _NONE
+
+    @property
+    def battery_mv(self) -> int | None:
+        """The battery's voltage as the board measures it, or None if the board is silent or has not measured it yet."""
+        status = self.line.status
+        volts_mv = status.rails.get(SUPPLY_BATTERY_MV) if status.alive else None
+        return None if volts_mv is None else volts_mv[1]
 
     def judge_currents(self, now_ns: int) -> bool:
         """Compare the servos' currents with their state. Return whether there is news. Call it a few times a second."""

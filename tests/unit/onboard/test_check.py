@@ -463,7 +463,7 @@ SCENES = (
     Scene("power board", interface(ETHERNET, 1), "failure power board: can7 is no CAN interface"),
     Scene("power board", interface(CAN, 0x40080), "can7 is switched off → … sudo tee /etc/systemd/network/80-can7"),
     Scene("power board", interface(CAN, 0x40081), "failure power board: … cannot be opened"),
-    Scene("power board", here(power={"interface": "sim"}), "warning power board: is simulated"),
+    Scene("power board", here(power={"interface": "sim"}), "failure power board: is simulated"),
     Scene("power board", SLCAN, "failure power board: e → see dmesg", patch={BUS: raises(GatewayError("e"))}),
     Scene("power board", SLCAN, "ok power board: /dev/null opens … whether the board answers",
           patch={BUS: lambda _: Opened()}),

@@ -15,7 +15,7 @@ from gateway.robot.service import rules
 from gateway.robot.settings import Settings
 from tests.support.scenes import play
 
-LIMITED: Final = "rules min_battery_mv=7000, max_tilt_cdeg=3000\n 10 leg 3 start 90\n"
+LIMITED: Final = "rules min_battery_mv=7000, max_tilt_cdeg=3000\n 5 body 0\n 10 leg 3 start 90\n"
 """Leg 3 runs since 10 ms, on a robot with a limit for its battery (7 V) and for its tilt (30 degrees)."""
 
 
@@ -51,6 +51,15 @@ def test_a_voltage_that_jitters_is_announced_once() -> None:
         130 leg 4 start 90 → command 4 start 90; completed 3
         140 body 0 (battery 7.0) → nothing
         160 body 0 (battery 6.999) → announce battery_low""")
+
+
+def test_a_battery_that_was_not_measured_yet_starts_nothing() -> None:
+    play("""rules min_battery_mv=7000
+        10 leg 3 start 90 → rejected 1 battery_low
+        says the battery has not been measured yet; nothing starts until it is
+        20 leg 3 stop → command 3 stop; …
+        30 body unknown
+        40 leg 3 start 90 → command 3 start 90; …""")
 
 
 # ---- the body

@@ -2,15 +2,17 @@
 
 import asyncio
 from collections.abc import Callable
+from contextlib import nullcontext
 from operator import setitem
 from typing import Final
 
 import pytest
 
-from gateway.errors import SpiError
+from gateway.errors import ConfigError, SpiError
 from gateway.model.power_board import SERVO_OVERCURRENT, CanFrame, set_supply
 from gateway.robot.core.events import StoppedOutside
 from gateway.robot.power.board import Confirmed, News
+from gateway.robot.settings import Settings
 from schemas import keys
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Kind, Mode, Reason, Supply, Telemetry
@@ -418,3 +420,32 @@ async def test_a_line_that_listens_no_more_is_noticed_within_thirty_beats() -> N
     robot.line.listens = False
     supply.makes_progress()
     assert [supply.makes_progress() for _ in range(30)] == [True] * 29 + [False]
+
+
+@pytest.mark.parametrize("kind", [FedRobot, FedElkapod])
+async def test_a_board_measures_the_battery_of_a_robot_that_does_not(kind: type[FedRobot] | type[FedElkapod]) -> None:
+    robot = kind(watchdog={"timeout_ms": 10_000}, safety={"min_battery_v": 6.5})
+    ack = robot.ask(LEG_3, START)
+    assert ack.reason in (Reason.BATTERY_LOW, Reason.NO_POWER), "not measured yet"
+    await asyncio.sleep(UP_S)
+    battery, measured = robot.state().battery, robot.conductor.reports.measured()
+    assert battery is not None
+    assert measured is not None
+    assert measured.battery == battery
+    itself = kind is FedElkapod
+    assert (battery.voltage_v == 14.8, battery.percent is None) == (not itself, not itself)
+    await starts(robot)
+    robot.line.board.battery_mv = 6400
+    await keep(robot, 0.5, LEG_3, leg("set", 90, 90, 90))
+    assert bool(robot.events(Kind.BATTERY_LOW)) is not itself
+    assert running(robot) == sorted(LEG_3_SERVOS), "what runs goes on"
+    if not itself:
+        assert robot.ask(keys.leg_command(4), START).reason is Reason.BATTERY_LOW
+
+
+@pytest.mark.parametrize(("wire", "power"), [("hexapod-1.0", "socketcan"), ("elkapod-2025", ""), ("hexapod-1.0", "")])
+def test_a_limit_for_the_battery_needs_a_board_or_a_wire_that_measures(wire: str, power: str) -> None:
+    tables = {"wire": {"name": wire}, "power": {"interface": power}, "safety": {"min_battery_v": 6.5}}
+    measured = power or wire == "elkapod-2025"
+    with nullcontext() if measured else pytest.raises(ConfigError, match=r"safety\.min_battery_v: .* measures it"):
+        Settings.of(tables)

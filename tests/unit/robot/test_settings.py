@@ -354,3 +354,12 @@ def test_what_the_service_rejects_stop_servos_writes_as_the_framing_allows(file:
     assert spi == SpiSettings(framing=Framing.LENGTH_PREFIXED, speed_hz=speed_hz, frame_gap_us=gap_us)
     assert sentence in changed
     assert changed.endswith(f"stop-servos uses {speed_hz} Hz and {gap_us:g} µs")
+
+
+def test_a_simulated_board_beside_a_real_controller_is_a_fault_and_no_stop_minds_it(tmp_path: Path) -> None:
+    path = tmp_path / "gateway.toml"
+    path.write_text('[spi]\nframing = "plain"\n[power]\ninterface = "sim"\n')
+    with pytest.raises(ConfigError, match=r"power\.interface: with a real controller, .*without a robot: run --sim"):
+        settings.load(path)
+    assert settings.load(path, simulated=True).power.interface == "sim"
+    assert settings.load_for_stops(path).power is not None

@@ -193,6 +193,8 @@ class SupervisorMachine(RuleBasedStateMachine):
             self.step(events.BusOpened())
             if rules.power:
                 self.step(events.PowerSeen(alive=True))
+            if rules.min_battery_mv:
+                self.step(events.BodyMeasured(None, 7400))
 
     def step(self, event: events.Event, wait_ns: int = 0) -> None:
         """One step as the service takes it: write the frames, and tell of a transfer that failed. Or none, in a mode in

@@ -63,10 +63,11 @@ export class Measured {
     show(byId("controller-silent"), alive === false);
     show(byId("battery"), battery !== null);
     if (battery) {
-      const low = battery.percent < LOW_PERCENT;
+      const { percent } = battery;
+      const low = percent !== null && percent < LOW_PERCENT;
       attribute(byId("battery"), "data-low", low ? "yes" : "no");
-      text(byId("volts"), `${battery.voltage_v.toFixed(1)} V${this.model.runs ? " under load" : ""}, `);
-      text(byId("battery-known"), `${Math.round(battery.percent)} %${low ? ", low" : ""}`);
+      text(byId("volts"), `${battery.voltage_v.toFixed(1)} V${this.model.runs ? " under load" : ""}${percent === null ? "" : ", "}`);
+      text(byId("battery-known"), percent === null ? "" : `${Math.round(percent)} %${low ? ", low" : ""}`);
     }
     show(byId("tilt"), tilt !== null);
     if (tilt !== null) text(byId("tilt-known"), `${Math.round(tilt)}°`);

@@ -18,7 +18,7 @@
  * @typedef {{time: string, kind: string, source: string | null, key: string | null, reason: string | null,
  *            detail: string, left_out?: number, legs?: number[], tone?: "bad" | "warn" | "plain"}} GatewayEvent
  *
- * @typedef {{voltage_v: number, percent: number}} Battery
+ * @typedef {{voltage_v: number, percent: number | null}} Battery
  * @typedef {{age_ms: number, temperature_c?: number, battery?: Battery, imu?: {orientation_wxyz: number[]}, tilt_deg?: number,
  *            feet?: (number | null)[], servos?: Record<string, {supplied: boolean, current_a?: number}>,
  *            supply?: {voltage_v: number, current_a: number}}} Telemetry
