@@ -40,12 +40,10 @@ export class Drive {
     this.#showTargets();
   }
 
-  /** The legs that a hold by these runs. @param {Set<string>} held @param {number} single the leg of a hold for one */
-  legsOf(held, single) {
-    if (this.model.whole) return held.size ? LEGS : [];
-    const legs = new Set(held.has("button") || held.has("key") ? this.chosen : []);
-    if (held.has("leg") || held.has("gamepad")) legs.add(single);
-    return [...legs];
+  /** The legs that a hold by this runs. @param {string} by @param {number} single the leg of a hold for one */
+  legsOf(by, single) {
+    if (this.model.whole) return LEGS;
+    return by === "leg" || by === "gamepad" ? [single] : [...this.chosen];
   }
 
   /** Show another leg as selected. */
@@ -69,7 +67,7 @@ export class Drive {
     for (const id of ["hold-leg", "run-chooser", "run-all", "run-none"]) show(byId(id), !whole);
     const { active } = this.hold;
     attribute(byId("hold"), "data-held", active ? "yes" : "no");
-    attribute(byId("hold-leg"), "data-held", active && this.hold.held.has("leg") ? "yes" : "no");
+    attribute(byId("hold-leg"), "data-held", active && this.hold.by === "leg" ? "yes" : "no");
     const leg = this.model.leg(this.model.selectedLeg);
     this.sliders.forEach((slider, index) => {
       const deg = leg?.servos[index].angle_deg ?? null;

@@ -112,15 +112,15 @@ export class Starts {
 export class Hold {
   /**
    * @param {import("./link.js").Link} link @param {Model} model
-   * @param {{mine: () => boolean, chosen: (held: Set<string>) => number[], target: (servo: number, mostDeg: number) => number, busy: () => string,
+   * @param {{mine: () => boolean, chosen: (by: string) => number[], target: (servo: number, mostDeg: number) => number, busy: () => string,
    *          steer: (elapsedMs: number) => void, say: (line: string) => void, begins: () => void, changed: () => void}} callbacks
    */
   constructor(link, model, callbacks) {
     this.link = link;
     this.model = model;
     this.callbacks = callbacks;
-    /** What is held now: "button", "key", "gamepad". @type {Set<string>} */
-    this.held = new Set();
+    /** What is held, alone: "button", "leg", "key", "gamepad"; "": nothing. What is pressed beside it needs a press of its own. */
+    this.by = "";
     /** Legs whose start was acknowledged. @type {Set<number>} */
     this.running = new Set();
     this.starts = new Starts((legs) => this.#stop(legs));
@@ -143,31 +143,26 @@ export class Hold {
 
   /** @param {string} what */
   press(what) {
-    if (this.held.has(what)) return;
-    if (this.active) {
-      this.held.add(what);
-      return;
-    }
+    if (this.active) return;
     this.lastTickMs = performance.now();
-    const why = obstacle(this, this.lastTickMs) || this.callbacks.busy() || (this.callbacks.chosen(new Set([what])).length ? "" : "choose a leg first");
+    const why = obstacle(this, this.lastTickMs) || this.callbacks.busy() || (this.callbacks.chosen(what).length ? "" : "choose a leg first");
     if (why) {
       this.callbacks.say(`Nothing runs: ${why}.`);
       return;
     }
     this.left = [];
     this.stopped.clear();
-    this.held.add(what);
+    this.by = what;
     this.timer = setInterval(() => this.#tick(), PERIOD_MS);
     this.callbacks.begins();
-    this.callbacks.say(`Running ${legsInWords(this.callbacks.chosen(this.held))} while you hold.`);
+    this.callbacks.say(`Running ${legsInWords(this.callbacks.chosen(what))} while you hold.`);
     this.#startNew();
     this.callbacks.changed();
   }
 
   /** Let go: what this page ran is stopped at once. @param {string} what */
   release(what) {
-    this.held.delete(what);
-    if (!this.active || this.held.size) return;
+    if (!this.active || this.by !== what) return;
     const legs = this.#end();
     if (!legs.length) return;
     const sent = this.#stop(legs);
@@ -243,7 +238,7 @@ export class Hold {
   #end() {
     clearInterval(this.timer);
     this.timer = undefined;
-    this.held.clear();
+    this.by = "";
     const legs = [...this.#known];
     this.running.clear();
     this.starts.abandon();
@@ -274,7 +269,7 @@ export class Hold {
 
   /** Start the legs that were chosen, and stop those that are no longer. */
   #startNew() {
-    const chosen = new Set(this.callbacks.chosen(this.held));
+    const chosen = new Set(this.callbacks.chosen(this.by));
     const known = this.#known;
     const dismissed = [...known].filter((leg) => !chosen.has(leg));
     if (dismissed.length) this.#stop(dismissed);

@@ -47,7 +47,7 @@ const targets = new Targets();
 let single = model.selectedLeg;
 const hold = new Hold(link, model, {
   mine: () => lease.mine,
-  chosen: (held) => drive.legsOf(held, single),
+  chosen: (by) => drive.legsOf(by, single),
   target: (servo, mostDeg) => targets.approach(servo, mostDeg, model.lastDeg.get(servo)),
   busy: () => (walk.active ? "the robot walks; let it sit down first" : ""),
   steer: (elapsedMs) => pad.steer(elapsedMs),
@@ -80,7 +80,7 @@ const walk = new Walk(link, model, {
   say,
 });
 const drive = new Drive(model, targets, hold, { say, select });
-const pad = new Pad(hold, targets, walk, { leg: () => (hold.active ? single : model.selectedLeg), stopAll: () => stop.press() });
+const pad = new Pad(hold, targets, walk, { leg: () => (hold.active ? single : model.selectedLeg), stopAll: () => stop.press(), say });
 const numbers = new Numbers(model, select);
 const upright = new Upright(link, model, say);
 const picture = new Picture(model, select, say, upright);
@@ -145,7 +145,7 @@ function received(message) {
       break;
     case "link":
       model.gateway = message;
-      if (lease.mine && message.status !== "connected" && !(walk.moved || hold.active || calibrate.active)) {
+      if (lease.mine && message.status !== "connected" && !(walk.driving || hold.active || calibrate.active)) {
         say(`You cannot drive now: ${ended({ cause: message.status }).line}.`); // the others show this themselves
       }
       break;

@@ -110,11 +110,6 @@ export class Sticks {
     if (this.centred) [this.x, this.y, this.turn] = [x, y, turn];
   }
 
-  /** Whether one is pushed, and counts. */
-  get held() {
-    return this.x !== 0 || this.y !== 0 || this.turn !== 0;
-  }
-
   /** What is held no longer counts; it has to be pushed anew. */
   release() {
     this.centred = false;

@@ -10,10 +10,11 @@ import { attribute, byId, element, enable, show, text } from "./dom.js";
 import { barred, obstacle, PERIOD_MS, whenLost } from "./hold.js";
 import { Keys } from "./keys.js";
 import { LOST_MS, shake } from "./phone.js";
-import { Stick, Sticks } from "./stick.js";
+import { Stick } from "./stick.js";
 import { plain, sentence, worded } from "./words.js";
 
-/** @typedef {import("./types.js").WalkMessage} WalkMessage @typedef {{x: number, y: number, turn: number}} Deflection */
+/** @typedef {import("./types.js").WalkMessage} WalkMessage @typedef {import("./stick.js").Sticks} Sticks
+ * @typedef {{x: number, y: number, turn: number}} Deflection @typedef {Deflection & {release: () => void}} Control */
 
 const SPEED_M_S = 0.1;
 const TURN_RAD_S = 0.4;
@@ -46,8 +47,6 @@ export class Walk {
     this.report = null;
     this.lastTickMs = 0;
     this.pressedMs = -Infinity;
-    /** Whether something was held at the last tick. */
-    this.moved = false;
     /** Whether the page has shown why what is held no longer counts. */
     this.dropped = false;
     /** @type {ReturnType<typeof setInterval> | undefined} */
@@ -57,11 +56,12 @@ export class Walk {
     /** When each wish was sent whose use is not reported yet. @type {Map<number, number>} */
     this.sentMs = new Map();
     this.answerMs = NaN;
-    this.pad = new Sticks();
-    const [held, lost] = [() => this.#held(), (/** @type {string} */ why) => this.drop(why)];
-    this.thumb = new Stick("pad", true, held, lost);
-    this.turn = new Stick("turn", false, held, lost);
-    this.keys = new Keys(() => this.#held());
+    const [touched, lost] = [() => this.#held(this.touch), (/** @type {string} */ why) => this.drop(why)];
+    /** What drives as one: two thumbs, the keys, or one gamepad's sticks. */
+    this.touch = [new Stick("pad", true, touched, lost), new Stick("turn", false, touched, lost)];
+    this.keys = [new Keys(() => this.#held(this.keys))];
+    /** What was pressed while nothing else was held. @type {Control[] | null} */
+    this.driver = null;
     byId("stand").addEventListener("click", () => this.go(false));
     byId("sit").addEventListener("click", () => this.go(true));
     byId("lower").addEventListener("click", () => this.#rise(-STEP_M));
@@ -99,10 +99,15 @@ export class Walk {
     return this.report?.posture === "walking" ? this.report.scaled : [0, 0, 0];
   }
 
-  /** What is held now. @returns {Deflection} */
+  /** What drives: pressed while nothing else was held, and held since. */
+  get driving() {
+    if (!this.driver?.some(moves)) this.driver = null;
+    return this.driver;
+  }
+
+  /** How far what drives is pushed. @returns {Deflection} */
   get deflection() {
-    const sources = [this.thumb, this.turn, this.keys, this.pad];
-    const sum = (/** @type {"x" | "y" | "turn"} */ of) => sources.reduce((all, each) => all + each[of], 0);
+    const sum = (/** @type {"x" | "y" | "turn"} */ of) => (this.driving ?? []).reduce((all, each) => all + each[of], 0);
     const [x, y] = [sum("x"), sum("y")];
     const length = Math.max(1, Math.hypot(x, y));
     return { x: x / length, y: y / length, turn: Math.max(-1, Math.min(1, sum("turn"))) };
@@ -113,15 +118,15 @@ export class Walk {
     this.#press(sits);
   }
 
-  /** Take a gamepad's sticks, -1 to 1. @param {number} x @param {number} y @param {number} turn */
-  steer(x, y, turn) {
-    this.pad.take(x, y, turn);
-    this.#held();
+  /** Take a gamepad's sticks, -1 to 1. @param {Sticks[]} pad @param {number} x @param {number} y @param {number} turn */
+  steer(pad, x, y, turn) {
+    pad[0].take(x, y, turn);
+    this.#held(pad);
   }
 
   /** What is held no longer counts; something has to be pressed anew. @param {string} why */
   drop(why) {
-    const moved = moves(this.deflection);
+    const moved = this.driving !== null;
     this.#letGo();
     if (!this.active || !moved) return;
     this.dropped = true;
@@ -214,9 +219,16 @@ export class Walk {
     this.timer ??= setInterval(() => this.#tick(), PERIOD_MS);
   }
 
-  /** Something is held now, or a little further. */
-  #held() {
-    if (moves(this.deflection) && !this.moved) this.#press(false);
+  /** It is held now, or a little further. What is pushed beside something else has to be pushed anew. @param {Control[]} pushed */
+  #held(pushed) {
+    if (!pushed.some(moves) || this.driving === pushed) return;
+    if (this.driving) {
+      for (const each of pushed) each.release();
+      this.callbacks.say("Something else drives already: let that go first, and push this anew.");
+      return;
+    }
+    this.driver = pushed;
+    this.#press(false);
   }
 
   /** @param {number} byM */
@@ -247,7 +259,6 @@ export class Walk {
     this.dropped = false;
     this.sits = sits;
     if (!this.active) this.timer = setInterval(() => this.#tick(), PERIOD_MS);
-    this.moved = moves(this.deflection);
     this.#send(nowMs);
     this.refresh();
   }
@@ -264,9 +275,7 @@ export class Walk {
       this.drop(why); // nothing is sent, so the console makes the robot stand
       return;
     }
-    this.thumb.check();
-    this.turn.check();
-    this.moved = moves(this.deflection);
+    for (const each of this.touch) each.check();
     this.#send(nowMs);
   }
 
@@ -282,11 +291,8 @@ export class Walk {
   }
 
   #letGo() {
-    this.thumb.release();
-    this.turn.release();
-    this.keys.release();
-    this.pad.release();
-    this.moved = false;
+    for (const each of [...this.touch, ...this.keys, ...(this.driver ?? [])]) each.release();
+    this.driver = null;
   }
 
   /** @param {"gait" | "speed"} name @returns {HTMLInputElement[]} */
