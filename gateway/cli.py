@@ -253,6 +253,10 @@ def console(
         typer.Option(metavar="PATH", help="The console's TLS certificate (PEM), made by `certs issue --role console`."),
     ] = None,
     key: Annotated[Path | None, typer.Option(metavar="PATH", help="The certificate's private key.")] = None,
+    host: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="A name by which browsers may reach it through a proxy. Repeatable."),
+    ] = None,
     role: Annotated[
         Literal["operator", "button", "observer"],
         typer.Option(help="What pages may do. operator: drive and stop. button: only stop. observer: only watch."),
@@ -284,7 +288,7 @@ def console(
 
     if sign_out or link:
         sys.exit(command.sign_out() if sign_out else command.link(listen))
-    options = Options(reach, listen, cert, key, role, geometry, adapt, open_browser, phone)
+    options = Options(reach, listen, cert, key, role, geometry, adapt, open_browser, phone, tuple(host or ()))
     command.console(options)
 
 

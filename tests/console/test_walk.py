@@ -45,7 +45,7 @@ def press(key: str, page: Opened) -> None:
 def test_keys_walk_and_turn_and_letting_go_stands(visitor: Visitor, watcher: Client) -> None:
     page = visitor.open()
     page.page.keyboard.down("w")
-    expect(page.said).to_have_text("Nothing moves: this page does not have the lease.")
+    expect(page.said).to_have_text("Nothing moves: this page does not have the lease; press Drive.")
     page.page.keyboard.up("w")
     page.get_lease()
     page["stand"].click()

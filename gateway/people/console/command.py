@@ -33,7 +33,7 @@ def console(options: site.Options) -> NoReturn:
     if options.phone:
         options = phone.prepared(options, console_state())
     address = site.address_in(passed, options.listen) if passed else options.listen or site.free_address()
-    place = site.site(address, options.cert, options.key)
+    place = site.site(address, options.cert, options.key, options.hosts)
     if not passed and options.listen is None and place.port != site.CONSOLE_PORT:
         hint(f"Port {site.CONSOLE_PORT} is taken by another program, so the console listens on {place.port}.")
     serve(options, place, passed)

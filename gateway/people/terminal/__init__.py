@@ -71,9 +71,19 @@ def on_end_signals(end: Callable[[], object]) -> Iterator[None]:
 
 REST_S: Final = 0.05
 """How soon the rest of an arrow key follows its first bytes, if they arrive apart (a slow SSH)."""
-_INCOMPLETE: Final = re.compile(rb"\x1b([\[O][0-9;<?]*)?\Z")
-_PIECES: Final = re.compile(rb"\x1b[\[O]([0-9;<?]*)([@-~]?)|(\xc2\xa0|\xe2\x80\xaf|\xe3\x80\x80|.)", re.DOTALL)
-"""A control sequence (its parameters, its last byte), or another byte, or another space than ASCII's in UTF-8."""
+_INCOMPLETE: Final = re.compile(rb"(\x1b([\[O][0-9;<?]*)?|[\xc3-\xdf])\Z")
+_PIECES: Final = re.compile(
+    rb"\x1b[\[O]([0-9;<?]*)([@-~]?)|([\xc2-\xdf][\x80-\xbf]|\xe2\x80\xaf|\xe3\x80\x80|.)", re.DOTALL
+)
+"""A control sequence (its parameters, its last byte), or another byte, or a letter or a space of several bytes."""
+_LATIN: Final = dict(
+    zip(
+        "йцукенгшщзфывапролдячсмитьςερτυθιοπασδφγηξκλζχψωβνμ",
+        "qwertyuiopasdfghjklzxcvbnmwertyuiopasdfghjklzxcvbnm",
+        strict=True,
+    )
+)
+"""The letters at the same places of a Russian and a Greek keyboard."""
 _NAMES: Final = {
     b"\x1b": "escape", b"\r": "enter", b"\n": "enter", b"\x7f": "backspace", b"\b": "backspace", b"\x03": "ctrl-c",
     b"\0": " ", b"\xc2\xa0": " ", b"\xe2\x80\xaf": " ", b"\xe3\x80\x80": " ",
@@ -114,6 +124,8 @@ def wake_on_signals() -> Iterator[tuple[int, int]]:
 class Keyboard:
     """Translates a terminal's bytes into keys: "a", "left", "enter", "escape"; others are left out.
 
+    Letters of a Russian or a Greek keyboard become those at the same places: a terminal reports no places.
+
     An arrow key begins with the byte of Escape. So bytes that may be the beginning of one wait for the rest.
     """
 
@@ -136,6 +148,8 @@ class Keyboard:
                 found.append(_NAMES[other])
             elif b" " <= other <= b"~":
                 found.append(other.decode())
+            elif len(other) == len(b"\xc3\xa9"):
+                found.append(_LATIN.get(other.decode().lower(), other.decode()))
             elif not parameters and final in _ARROWS:  # with a number it is another key, or an arrow with Shift or Ctrl
                 found.append(_ARROWS[final])
         return found

@@ -27,12 +27,52 @@ TLS = Site("0.0.0.0", 443, ("robot.local", "192.0.2.7", "2001:db8::7"), ssl.SSLC
         (HERE, ""),
         (HERE, "127.0.0.1"),
         (HERE, "127.0.0.1.evil.example:8080"),
+        (HERE, "localhost.evil.example:8081"),
+        (HERE, "robot.example"),
+        (HERE, "[::1:8081"),
+        (HERE, "localhost:"),
         (TLS, "0.0.0.0"),  # noqa: S104
         (TLS, "robot.local:8443"),
     ],
 )
 def test_foreign_hosts(where: Site, host: str | None) -> None:
     assert not where.knows_host(host)
+
+
+PROXIED = site("127.0.0.1:8080", None, None, ("Robot.example",))
+
+
+@pytest.mark.parametrize(
+    ("where", "host", "origin"),
+    [
+        (HERE, "127.0.0.1:8081", "http://127.0.0.1:8081"),
+        (HERE, "localhost:9000", "http://localhost:9000"),
+        (HERE, "[::1]:8081", "http://[::1]:8081"),
+        (PROXIED, "robot.example", "https://robot.example"),
+        (PROXIED, "ROBOT.example:8443", "https://ROBOT.example:8443"),
+        (PROXIED, "robot.example", "http://robot.example"),
+    ],
+)
+def test_a_tunnel_comes_from_loopback_at_any_port_and_a_proxy_by_an_admitted_name(
+    where: Site, host: str, origin: str
+) -> None:
+    assert where.knows_host(host)
+    assert where.is_own(origin, host)
+    for other in ("http://localhost:8080", "https://evil.example", None, "null"):
+        assert not where.is_own(other, host)
+
+
+def test_two_consoles_behind_tunnels_have_cookies_of_their_own() -> None:
+    assert {HERE.cookie_at("localhost:8081"), HERE.cookie_at("localhost:8082"), HERE.cookie_at(None)} == {
+        f"hexapod-console-{port}" for port in (8080, 8081, 8082)
+    }
+    assert HERE.cookie == HERE.cookie_at("127.0.0.1:8080")
+
+
+@pytest.mark.parametrize("name", ["https://robot.example", "robot.example:8080", "robot.example/x", "", "a b"])
+def test_what_is_no_name_is_not_admitted(name: str) -> None:
+    with pytest.raises(ConfigError, match="is no name of a host"):
+        site("127.0.0.1:8080", None, None, (name,))
 
 
 @pytest.mark.parametrize("listen", ["127.0.0.1:8080", "localhost:1", "[::1]:65535", "127.0.0.5"])

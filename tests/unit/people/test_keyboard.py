@@ -39,6 +39,10 @@ def test_the_space_bar_is_always_a_key_that_stops_whatever_else_is_held(parts: l
         ([b"\x1b[1;", b"5A"], []),
         ([b"\x1b", b"", b"[A"], ["escape", "[", "A"]),
         ([b"\x1b[15~w"], ["w"]),
+        (["цфыв".encode(), "ЦйУ".encode()], [*"wasdwqe"]),
+        (["ςασδ".encode()], [*"wasd"]),
+        ([b"\xd1", b"\x86"], ["w"]),
+        (["é".encode()], ["é"]),
     ],
 )
 def test_escape_is_a_key_unless_an_arrow_follows(parts: list[bytes], keys: list[str]) -> None:

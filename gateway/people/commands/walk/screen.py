@@ -241,6 +241,8 @@ class WalkScreen:
             self._todo.put(lambda: walk.walk_as(_GAITS[key]))
         elif key in ("r", "f"):
             self._todo.put(lambda: self._rise(HEIGHT_STEP_M if key == "r" else -HEIGHT_STEP_M))
+        else:
+            self._message = f"The key {key} does nothing."
 
     def _rise(self, by_m: float) -> None:
         height_m = (self._height_m or self._walk.state.height_m) + by_m

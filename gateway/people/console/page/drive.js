@@ -9,7 +9,7 @@ import { Poses } from "./targets.js";
 
 /** @typedef {import("./model.js").Model} Model @typedef {import("./targets.js").Targets} Targets */
 
-const HOLD_KEY = "h";
+const HOLD_KEY = "KeyH";
 
 export class Drive {
   /**
@@ -71,7 +71,7 @@ export class Drive {
     const leg = this.model.leg(this.model.selectedLeg);
     this.sliders.forEach((slider, index) => {
       const deg = leg?.servos[index].angle_deg ?? null;
-      text(slider.now, deg === null ? "off" : `${deg.toFixed(1)}°`);
+      text(slider.now, !this.model.live(nowMs) ? "–" : deg === null ? "off" : `${deg.toFixed(1)}°`);
     });
     for (const [number, input] of this.choices) {
       const runs = this.hold.running.has(number);
@@ -168,15 +168,13 @@ export class Drive {
   }
 
   #keys() {
-    let held = "";
     window.addEventListener("keydown", (event) => {
       const modified = event.ctrlKey || event.altKey || event.metaKey;
-      if (event.key.toLowerCase() !== HOLD_KEY || event.repeat || modified || typesText(event.target)) return;
+      if (placeOf(event) !== HOLD_KEY || event.repeat || modified || typesText(event.target)) return;
       if (byId("question", HTMLDialogElement).open) return;
-      held = placeOf(event);
       this.hold.press("key");
     });
-    whenReleased((place) => (place === null || place === held) && this.hold.release("key"));
+    whenReleased((place) => (place === null || place === HOLD_KEY) && this.hold.release("key"));
   }
 
   #poseForm() {

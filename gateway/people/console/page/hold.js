@@ -10,44 +10,44 @@
 
 import { legs as legsInWords } from "./dom.js";
 import { LEGS } from "./kinematics.js";
-import { because, ended } from "./words.js";
+import { because, ended, past } from "./words.js";
 
 /** @typedef {import("./model.js").Model} Model @typedef {import("./types.js").AckMessage} AckMessage */
 
 export const PERIOD_MS = 50;
 /** How fast a slider moves a servo at most; a servo by itself is ten times as fast. */
 const SPEED_DEG_S = 60;
-/** With an older state nothing is sent: the driver has to see the robot's state. */
-const FRESH_MS = 500;
-/** A later tick shows that the page was frozen. */
-const FROZEN_MS = 250;
+/** @typedef {{model: Model, callbacks: {mine: () => boolean}, lastTickMs: number}} Driver */
 
-/**
- * Why nothing may be sent, in words; "" if it may.
- * @param {{link: import("./link.js").Link, model: Model, callbacks: {mine: () => boolean}, lastTickMs: number}} driver
- * @param {number} nowMs
- */
-export function obstacle(driver, nowMs) {
-  const sinceTickMs = nowMs - driver.lastTickMs;
-  if (sinceTickMs > FROZEN_MS) return `this page was frozen for ${(sinceTickMs / 1000).toFixed(1)} s`;
+/** Why nothing may be sent, in words; "" if it may. @param {Driver} driver @param {number} nowMs @param {number} lookedMs */
+export function obstacle(driver, nowMs, lookedMs = driver.lastTickMs) {
   if (document.visibilityState !== "visible") return "this page is hidden";
   if (!document.hasFocus()) return "this window has lost the focus";
-  return barred(driver, nowMs, FRESH_MS);
+  return barred(driver, nowMs, lookedMs);
+}
+
+/**
+ * Why it ended, in words that are true later as well: in the past once that has passed.
+ * @param {Driver} driver @param {string} why @returns {() => string}
+ */
+export function cause(driver, why) {
+  const is = () => obstacle(driver, performance.now(), driver.model.lookedMs) === why;
+  const passes = is();
+  return () => (passes && !is() ? past(why) : why);
 }
 
 /**
  * Why the robot, or its link, lets this page move nothing, in words; "" if it may: then its controls look so.
- * @param {{link: import("./link.js").Link, model: Model, callbacks: {mine: () => boolean}}} driver
- * @param {number} nowMs @param {number} [oldMs] the age at which a state is too old
+ * @param {Driver} driver @param {number} nowMs @param {number} [lookedMs]
  */
-export function barred({ link, model, callbacks }, nowMs, oldMs) {
-  const cut = link.open ? model.cut(nowMs, oldMs) : model.end;
+export function barred({ model, callbacks }, nowMs, lookedMs) {
+  const cut = model.cut(nowMs, lookedMs);
   if (cut) return ended(cut).line;
   if (!model.hello || model.looks) return "this page may only look";
   const mode = model.state?.mode ?? "unknown";
   if (mode === "estopped") return "STOP ALL is engaged; reset it first";
   if (mode !== "idle" && mode !== "active") return `the gateway is not ready (${mode})`;
-  if (!callbacks.mine()) return "this page does not have the lease";
+  if (!callbacks.mine()) return `this page does not have the lease; ${model.toDrive}`;
   return "";
 }
 
@@ -113,13 +113,13 @@ export class Hold {
   /**
    * @param {import("./link.js").Link} link @param {Model} model
    * @param {{mine: () => boolean, chosen: (by: string) => number[], target: (servo: number, mostDeg: number) => number, busy: () => string,
-   *          steer: (elapsedMs: number) => void, say: (line: string) => void, begins: () => void, changed: () => void}} callbacks
+   *          steer: (elapsedMs: number) => void, say: import("./words.js").Say, begins: () => void, changed: () => void}} callbacks
    */
   constructor(link, model, callbacks) {
     this.link = link;
     this.model = model;
     this.callbacks = callbacks;
-    /** What is held, alone: "button", "leg", "key", "gamepad"; "": nothing. What is pressed beside it needs a press of its own. */
+    /** What is held, alone: "button", "leg", "key", "gamepad"; "": nothing. What is pressed meanwhile needs a press of its own. */
     this.by = "";
     /** Legs whose start was acknowledged. @type {Set<number>} */
     this.running = new Set();
@@ -147,7 +147,8 @@ export class Hold {
     this.lastTickMs = performance.now();
     const why = obstacle(this, this.lastTickMs) || this.callbacks.busy() || (this.callbacks.chosen(what).length ? "" : "choose a leg first");
     if (why) {
-      this.callbacks.say(`Nothing runs: ${why}.`);
+      const of = cause(this, why);
+      this.callbacks.say(() => `Nothing runs: ${of()}.`);
       return;
     }
     this.left = [];
@@ -155,7 +156,8 @@ export class Hold {
     this.by = what;
     this.timer = setInterval(() => this.#tick(), PERIOD_MS);
     this.callbacks.begins();
-    this.callbacks.say(`Running ${legsInWords(this.callbacks.chosen(what))} while you hold.`);
+    const legs = legsInWords(this.callbacks.chosen(what));
+    this.callbacks.say(() => (this.active ? `Running ${legs} while you hold.` : ""));
     this.#startNew();
     this.callbacks.changed();
   }
@@ -175,8 +177,9 @@ export class Hold {
     this.left = this.#end();
     const stops = this.left.length ? ` The watchdog stops ${legsInWords(this.left)}` : "";
     const within = stops && this.model.state ? ` after ${this.model.state.watchdog.timeout_ms} ms.` : "";
-    this.callbacks.say(`Nothing more is sent: ${why}.${stops}${within}`);
-    this.why = why;
+    const of = cause(this, why);
+    this.callbacks.say(() => `Nothing more is sent: ${of()}.${stops}${within}`);
+    this.why = past(why);
   }
 
   /** Stop legs, also of other clients; that needs no lease. @param {number[]} legs @returns {boolean} whether it was sent */

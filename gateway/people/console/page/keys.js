@@ -1,23 +1,23 @@
 // @ts-check
-/** W A S D walk, Q and E turn, while they are held. */
+/** The keys at the places of W A S D walk, and those of Q and E turn, while they are held. */
 
 import { byId, typesText } from "./dom.js";
 
-/** @type {Record<string, {x: number, y: number, turn: number}>} */
+/** By the keys' places, which are the same whatever alphabet is typed. @type {Record<string, {x: number, y: number, turn: number}>} */
 const DIRECTIONS = {
-  w: { x: 0, y: 1, turn: 0 },
-  s: { x: 0, y: -1, turn: 0 },
-  a: { x: -1, y: 0, turn: 0 },
-  d: { x: 1, y: 0, turn: 0 },
-  q: { x: 0, y: 0, turn: -1 },
-  e: { x: 0, y: 0, turn: 1 },
+  KeyW: { x: 0, y: 1, turn: 0 },
+  KeyS: { x: 0, y: -1, turn: 0 },
+  KeyA: { x: -1, y: 0, turn: 0 },
+  KeyD: { x: 1, y: 0, turn: 0 },
+  KeyQ: { x: 0, y: 0, turn: -1 },
+  KeyE: { x: 0, y: 0, turn: 1 },
 };
 /** Part of a full push: a key cannot be pushed half. */
 const PART = 0.6;
 
 /** The key's place, or its letter on a keyboard without places, such as a remote desktop's. @param {KeyboardEvent} event */
 export function placeOf(event) {
-  return event.code || event.key.toLowerCase();
+  return event.code || `Key${event.key.toUpperCase()}`;
 }
 
 /**
@@ -37,15 +37,15 @@ export function whenReleased(released) {
 export class Keys {
   /** @param {() => void} changed */
   constructor(changed) {
-    /** The letters of the keys that are held, by their places. @type {Map<string, string>} */
-    this.down = new Map();
+    /** The places of the keys that are held. @type {Set<string>} */
+    this.down = new Set();
     window.addEventListener("keydown", (event) => {
-      const key = event.key.toLowerCase();
+      const place = placeOf(event);
       const modified = event.ctrlKey || event.altKey || event.metaKey;
       const elsewhere = typesText(event.target) || event.target instanceof HTMLSelectElement;
-      if (!(key in DIRECTIONS) || event.repeat || modified || elsewhere) return;
+      if (!(place in DIRECTIONS) || event.repeat || modified || elsewhere) return;
       if (byId("question", HTMLDialogElement).open) return;
-      this.down.set(placeOf(event), key);
+      this.down.add(place);
       changed();
     });
     whenReleased((place) => (place === null ? this.release() : this.down.delete(place)));
@@ -70,6 +70,6 @@ export class Keys {
 
   /** @param {"x" | "y" | "turn"} of */
   #sum(of) {
-    return PART * [...this.down.values()].reduce((all, key) => all + DIRECTIONS[key][of], 0);
+    return PART * [...this.down].reduce((all, place) => all + DIRECTIONS[place][of], 0);
   }
 }

@@ -12,13 +12,14 @@ const USUAL_TTL_MS = 1000;
 const LONGEST_NAME = 14;
 const HANDED = "The lease is handed over to you: press Drive.";
 const FREE = "The lease is free: press Drive.";
+const GOT = "You drive: this page has the lease.";
 /** This long after a lease was lost, a restart of the gateway is still its cause. */
 const RESTART_MS = 30_000;
 
 export class Lease {
   /**
    * @param {import("./link.js").Link} link @param {import("./model.js").Model} model
-   * @param {{say: (line: string) => void, lost: (why: string) => void, got: () => void}} callbacks
+   * @param {{say: import("./words.js").Say, lost: (why: string, toDrive: () => string) => void, got: () => void}} callbacks
    */
   constructor(link, model, callbacks) {
     this.link = link;
@@ -49,12 +50,6 @@ export class Lease {
     return by === this.model.hello?.source ? null : by; // it has the lease meanwhile, and the state is older
   }
 
-  get #handedToMe() {
-    const { hello, state } = this.model;
-    const me = this.holder !== null && (this.holder === hello?.source || this.holder === hello?.person);
-    return me && state?.lease?.held_s === null;
-  }
-
   /** @param {LeaseMessage} message */
   received(message) {
     const did = message.id == null ? "" : (this.asked.get(message.id) ?? "");
@@ -64,13 +59,15 @@ export class Lease {
     if (message.mine && !had) {
       this.#renewEvery((message.ttl_ms ?? USUAL_TTL_MS) / RENEWALS_PER_TTL);
       this.callbacks.got();
-      this.callbacks.say(this.wanted && did !== "take" ? "You drive: the lease was handed over to you. Press to move." : "You drive: this page has the lease.");
+      const got = this.wanted && did !== "take" ? "You drive: the lease was handed over to you. Press to move." : GOT;
+      this.callbacks.say(() => (this.mine ? got : ""));
       this.wanted = false;
     } else if (!message.mine && had) {
       const { end: cause, holder: by, silent_s } = message;
-      this.#lost(cause ? ended({ cause, by, forMs: 1000 * (silent_s ?? 0) }) : null);
+      this.#lost(cause ? ended({ cause, by, forMs: 1000 * (silent_s ?? 0) }).line : "");
     } else if (message.accepted !== true && did && did !== "renew") {
-      this.callbacks.say(`No lease: ${because(message)}.`);
+      const { holder } = this;
+      this.callbacks.say(() => (this.holder === holder && !this.mine ? `No lease: ${because(message)}.` : ""));
     } else if (message.accepted && did === "ask") {
       this.wanted = true;
       this.callbacks.say(`Asked ${this.holder ?? "the driver"} for the lease.`);
@@ -82,14 +79,14 @@ export class Lease {
   closed(line) {
     this.asked.clear();
     this.wanted = false;
-    if (this.mine) this.#lost({ line, next: "" });
+    if (this.mine) this.#lost(line);
   }
 
   /** The gateway was started again, and no longer knows any lease. */
   restarted() {
-    const end = ended({ cause: "restarted" });
-    if (this.mine || performance.now() - this.lostMs < RESTART_MS) this.#lost(end);
-    else this.callbacks.say(sentence(end.line));
+    const { line } = ended({ cause: "restarted" });
+    if (this.mine || performance.now() - this.lostMs < RESTART_MS) this.#lost(line);
+    else this.callbacks.say(() => sentence(line));
   }
 
   /** @param {number} nowMs */
@@ -100,10 +97,11 @@ export class Lease {
     const unverified = holder && this.model.state?.lease?.verified === false ? ", not verified" : "";
     const others = holder ? `${holder}${unverified}` : undriven(this.model.state?.legs ?? [], (source) => this.model.who(source));
     const driver = !connected ? "unknown" : mine ? "you" : others;
-    if (driver.includes(UNDRIVEN) && driver !== byId("driver").textContent) this.callbacks.say(sentence(driver));
+    const said = byId("driver").textContent;
     text(byId("driver"), driver);
+    if (driver.includes(UNDRIVEN) && driver !== said) this.callbacks.say(() => (byId("driver").textContent === driver ? sentence(driver) : ""));
     attribute(byId("driver"), "title", driver);
-    const handed = !mine && this.#handedToMe;
+    const handed = !mine && this.model.handed;
     for (const id of ["lease-ask", "lease-take"]) show(byId(id), !mine && holder !== null && !looks && !handed);
     show(byId("lease-release"), mine);
     show(byId("lease-hand-over"), mine && asker !== null);
@@ -116,19 +114,27 @@ export class Lease {
     // Nothing moves by it. A hidden page leaves the lease to others: a driver has to see the robot.
     if (taking && document.visibilityState === "visible" && ![...this.asked.values()].includes("acquire")) this.#ask("acquire");
     const over = (this.wanted && holder === null) || (this.announced === HANDED && !handed);
-    if (over && !mine) this.callbacks.say(holder === null ? FREE : `${holder} drives.`);
+    if (over && !mine) this.callbacks.say(() => (this.mine || this.holder !== holder ? "" : holder === null ? FREE : `${holder} drives.`));
     if (over) this.wanted = false;
-    const said = mine && asker ? `${asker} asks for the lease.` : handed && !taking ? HANDED : "";
-    if (said && said !== this.announced) this.callbacks.say(said);
-    this.announced = said;
+    this.announced = this.#announce(taking);
   }
 
-  /** @param {{line: string, next: string} | null} end null: by this page's own wish */
-  #lost(end) {
+  /** Announce who asks for the lease, or that it waits here. @param {boolean} taking @returns {string} what is to be said */
+  #announce(taking) {
+    const what = () => (this.mine && this.asker ? `${this.asker} asks for the lease.` : !this.mine && this.model.handed ? HANDED : "");
+    const now = taking ? "" : what();
+    if (now && now !== this.announced) this.callbacks.say(() => (what() === now ? now : ""));
+    return now;
+  }
+
+  /** @param {string} line why; "": by this page's own wish */
+  #lost(line) {
     clearInterval(this.renewing);
     this.mine = false;
     this.lostMs = performance.now();
-    this.callbacks.lost(`you do not drive any more${end ? `: ${end.line}` : ""}${end?.next ? `. ${end.next.slice(0, -1)}` : ""}`);
+    const to = { "press Drive": "Press Drive to go on.", "ask for it": "Ask for it to go on." };
+    const toDrive = () => (line && !this.mine && this.model.live(performance.now()) ? ` ${to[this.model.toDrive]}` : "");
+    this.callbacks.lost(`you do not drive any more${line ? `: ${line}` : ""}`, toDrive);
   }
 
   /** @param {number} everyMs */

@@ -6,7 +6,7 @@ import { Device } from "./device.js";
 import { attribute, byId, text } from "./dom.js";
 import { Drive } from "./drive.js";
 import { Pad } from "./gamepad.js";
-import { Hold } from "./hold.js";
+import { Hold, cause } from "./hold.js";
 import { Lease } from "./lease.js";
 import { Link } from "./link.js";
 import { Measured } from "./measured.js";
@@ -24,12 +24,17 @@ import { ended, news, sentence } from "./words.js";
 
 const REFRESH_MS = 100;
 
-/** What happened, in one line. @param {string} line */
+const model = new Model();
+/** The newest sentence while it is true; then "". */
+let said = () => "";
+
+/** @type {import("./words.js").Say} */
 function say(line) {
-  text(byId("said"), line);
+  const live = model.live(performance.now());
+  said = typeof line === "function" ? line : () => (model.live(performance.now()) === live ? line : "");
+  text(byId("said"), said());
 }
 
-const model = new Model();
 const link = new Link({ opened, closed, received });
 const stop = new StopAll(link, model, {
   pressed: () => {
@@ -63,13 +68,14 @@ const hold = new Hold(link, model, {
 const lease = new Lease(link, model, {
   say,
   got: () => targets.follow(model.lastDeg, false),
-  lost: (why) => {
+  lost: (why, toDrive) => {
     if (calibrate.active) calibrate.stop(why);
     else if (hold.active) hold.drop(why);
     else {
       walk.end(why);
       hold.why = why; // of a Stop that is reported only now
-      say(sentence(why));
+      const of = cause(walk, why);
+      say(() => `${sentence(of())}${toDrive()}`);
     }
   },
 });
@@ -146,7 +152,8 @@ function received(message) {
     case "link":
       model.gateway = message;
       if (lease.mine && message.status !== "connected" && !(walk.driving || hold.active || calibrate.active)) {
-        say(`You cannot drive now: ${ended({ cause: message.status }).line}.`); // the others show this themselves
+        const { line } = ended({ cause: message.status });
+        say(() => (model.gateway.status === message.status ? `You cannot drive now: ${line}.` : "")); // the others show this themselves
       }
       break;
     case "event":
@@ -186,13 +193,15 @@ function received(message) {
 
 function refresh() {
   const nowMs = performance.now();
+  model.look(nowMs, Date.now());
+  text(byId("said"), said());
   stop.refresh(nowMs);
   lease.refresh(nowMs);
   walk.refresh(nowMs);
   drive.refresh(nowMs);
   calibrate.refresh();
   awake.want(lease.mine);
-  const { bars, known } = quality.take(nowMs, model.connected ? model.ageMs(nowMs) : Infinity, walk.active ? walk.answerMs : NaN);
+  const { bars, known } = quality.take(nowMs, model.live(nowMs) ? model.ageMs(nowMs) : Infinity, walk.active ? walk.answerMs : NaN);
   attribute(byId("quality"), "data-bars", String(bars));
   text(byId("quality-known"), known);
   attribute(document.body, "data-live", model.live(nowMs) ? "yes" : "no");
@@ -205,4 +214,5 @@ function refresh() {
 }
 
 setInterval(refresh, REFRESH_MS);
+for (const name of ["visibilitychange", "resume"]) document.addEventListener(name, refresh); // not what was true when it was hidden
 select(model.selectedLeg);

@@ -16,8 +16,10 @@ const BODY_MS = 1000;
 /** Nor are measured values. */
 const MEASURED_MS = 2000;
 export const HISTORY_MS = 60_000;
-/** Older than this, what the page shows is the past. */
-export const SILENT_MS = 1000;
+/** With an older state nothing is sent, and nothing is claimed: states come every 100 ms. */
+const FRESH_MS = 500;
+/** A page whose timers were late by this was frozen, and so was what it shows. */
+const FROZEN_MS = 250;
 const MOST_EVENTS = 40;
 const MOST_SOURCES = 50;
 const RATE_MS = 2000;
@@ -35,13 +37,29 @@ const LATE_MS = 1000;
 const beganMs = (state) => Date.parse(state.time) - state.uptime_s * 1000;
 
 /** A leg's status, shown by a mark and a word, and only then by colour. @param {Leg} leg @returns {Status} */
-export function statusOf(leg) {
+function statusOf(leg) {
   const running = leg.servos.some((servo) => servo.running);
   if (leg.watchdog === "expired") return { key: "stopped", mark: "✕", word: "stopped by the watchdog" };
   if (running) return { key: "runs", mark: "▶", word: "runs" };
   if (leg.watchdog === "armed") return { key: "waits", mark: "…", word: "waits to start" };
   if (leg.watchdog === "idle") return { key: "rests", mark: "○", word: "rests" };
   return { key: "other", mark: "?", word: leg.watchdog };
+}
+
+/** @type {Status} */
+const UNKNOWN = { key: "other", mark: "?", word: "unknown" };
+
+/**
+ * Why nobody at this page knows what the robot does. Each line, badge and picture of the page asks this, and so does what it sends.
+ * @param {import("./words.js").End | null} cut why the link is cut @param {number} ageMs of the newest state; Infinity: there is none
+ * @param {number} stoodMs for how long this page's own clock was not looked at
+ * @returns {import("./words.js").End | null} null: the newest state is the present
+ */
+export function unknown(cut, ageMs, stoodMs) {
+  if (stoodMs > FROZEN_MS) return { cause: "frozen", forMs: stoodMs };
+  if (cut) return cut;
+  if (ageMs < FRESH_MS) return null;
+  return ageMs === Infinity ? { cause: "connecting" } : { cause: "old", forMs: ageMs };
 }
 
 /** How much later than the quickest one a state came: it waited in a network, or in a frozen page. */
@@ -87,6 +105,9 @@ export class Model {
     this.unconfirmed = "";
     /** When the state was true, by this page's clock. */
     this.stateAtMs = -Infinity;
+    /** When this page last looked at its clocks: its own, which stands still while its machine sleeps, and the wall's. */
+    this.lookedMs = performance.now();
+    this.wallMs = Date.now();
     this.connected = false;
     /** Why it is not. @type {import("./words.js").End} */
     this.end = { cause: "connecting" };
@@ -126,7 +147,7 @@ export class Model {
 
   /** What the robot measures now. @param {number} nowMs */
   measured(nowMs) {
-    return nowMs - this.measuredAtMs < MEASURED_MS ? this.telemetry : null;
+    return this.live(nowMs) && nowMs - this.measuredAtMs < MEASURED_MS ? this.telemetry : null;
   }
 
   /** Whether this leg's foot carries; null: that is not measured. @param {number} leg @param {number} nowMs */
@@ -142,7 +163,7 @@ export class Model {
 
   /** @param {number} nowMs */
   body(nowMs) {
-    return this.state?.physics && nowMs - this.bodyAtMs < BODY_MS ? this.newestBody : null;
+    return this.live(nowMs) && this.state?.physics && nowMs - this.bodyAtMs < BODY_MS ? this.newestBody : null;
   }
 
   /** Age of the newest state. @param {number} nowMs */
@@ -150,13 +171,18 @@ export class Model {
     return nowMs - this.stateAtMs;
   }
 
-  /** What cuts this page off from the robot; null: nothing does. @param {number} nowMs @returns {import("./words.js").End | null} */
-  cut(nowMs, oldMs = SILENT_MS) {
-    if (!this.connected) return this.end;
+  /** What cuts this page off from the robot; null: nothing does. @param {number} nowMs @param {number} lookedMs when its clock was last looked at */
+  cut(nowMs, lookedMs = this.lookedMs) {
     const { status, detail } = this.gateway;
-    if (status !== "connected") return { cause: status, detail };
-    const forMs = this.ageMs(nowMs);
-    return forMs < oldMs ? null : this.state ? { cause: "old", forMs } : { cause: "connecting" };
+    const cut = !this.connected ? this.end : status === "connected" ? null : { cause: status, detail };
+    return unknown(cut, this.ageMs(nowMs), nowMs - lookedMs);
+  }
+
+  /** Look at the clocks: ten times a second. @param {number} nowMs @param {number} wallMs */
+  look(nowMs, wallMs) {
+    const sleptMs = wallMs - this.wallMs - (nowMs - this.lookedMs);
+    if (sleptMs > FROZEN_MS) this.stateAtMs -= sleptMs;
+    [this.lookedMs, this.wallMs] = [nowMs, wallMs];
   }
 
   /** Whether what is shown is the present. @param {number} nowMs */
@@ -193,6 +219,23 @@ export class Model {
   /** @param {number} leg */
   leg(leg) {
     return this.state?.legs.find((each) => each.leg === leg) ?? null;
+  }
+
+  /** A leg's status now. @param {number} leg @param {number} nowMs @returns {Status} */
+  status(leg, nowMs) {
+    const known = this.leg(leg);
+    return known && this.live(nowMs) ? statusOf(known) : UNKNOWN;
+  }
+
+  /** Whether the lease waits for this page, or for another of its person. */
+  get handed() {
+    const { holder = null, held_s } = this.state?.lease ?? {};
+    return holder !== null && (holder === this.hello?.source || holder === this.hello?.person) && held_s === null;
+  }
+
+  /** How a page without the lease gets it. @returns {"press Drive" | "ask for it"} */
+  get toDrive() {
+    return (this.state?.lease?.holder ?? null) === null || this.handed ? "press Drive" : "ask for it";
   }
 
   /** A leg's three angles as last commanded; a servo without a command is drawn at its neutral angle. @param {number} leg */

@@ -3,7 +3,6 @@
 
 import { ago, attribute, byId, element, show, text } from "./dom.js";
 import { LEGS } from "./kinematics.js";
-import { statusOf } from "./model.js";
 import { reasonInWords, worded } from "./words.js";
 
 /** @typedef {import("./model.js").Model} Model @typedef {import("./types.js").GatewayEvent} GatewayEvent
@@ -39,6 +38,8 @@ export class Numbers {
       this.values.set(key, value);
     }
     this.rows = new Map(LEGS.map((leg) => [leg, this.#row(leg, select)]));
+    /** Whether the newest state is the present. */
+    this.live = false;
     /** @type {GatewayEvent | undefined} */
     this.newest = undefined;
   }
@@ -47,8 +48,8 @@ export class Numbers {
   refresh(nowMs) {
     const { model } = this;
     const { state } = model;
-    const live = model.live(nowMs);
-    text(byId("mode"), state ? modeInWords(state.mode) : "unknown");
+    const live = (this.live = model.live(nowMs));
+    text(byId("mode"), state && live ? modeInWords(state.mode) : "unknown");
     attribute(byId("mode"), "data-mode", live ? (state?.mode ?? "unknown") : "unknown");
     const age = model.ageMs(nowMs);
     text(byId("age"), !state ? "none yet" : live ? `${Math.round(age / 10) * 10} ms old` : `the past: ${ago(age)} old`);
@@ -59,7 +60,7 @@ export class Numbers {
     this.#currents(nowMs);
     for (const leg of state.legs) this.#leg(leg, state.watchdog.timeout_ms, nowMs, live);
     const rate = model.framesPerSecond();
-    this.#set("frames", rate === null || !live ? "–" : rate.toFixed(rate < 10 ? 1 : 0));
+    this.#set("frames", rate === null ? "–" : rate.toFixed(rate < 10 ? 1 : 0));
     this.#set("latency", latency(state.watchdog.stop_latency_us, "no Stop yet"));
     this.#set("lag", state.loop_lag_us ? latency(state.loop_lag_us, "none yet") : "unknown");
     this.#set("expirations", String(state.watchdog.expirations));
@@ -88,16 +89,16 @@ export class Numbers {
   #leg(leg, timeoutMs, nowMs, live) {
     const row = this.rows.get(leg.leg);
     if (!row) return;
-    const status = statusOf(leg);
+    const status = this.model.status(leg.leg, nowMs);
     text(row.status, `${status.mark} ${status.word}`);
     attribute(row.status, "data-status", status.key);
     attribute(row.row, "data-selected", this.model.selectedLeg === leg.leg ? "yes" : null);
-    leg.servos.forEach((servo, index) => text(row.angles[index], servo.angle_deg === null ? "–" : `${servo.angle_deg.toFixed(1)}°`));
+    leg.servos.forEach((servo, index) => text(row.angles[index], servo.angle_deg === null || !live ? "–" : `${servo.angle_deg.toFixed(1)}°`));
     const age = leg.age_ms === null ? null : leg.age_ms + Math.max(0, this.model.ageMs(nowMs));
     const counted = age !== null && live && leg.watchdog === "armed";
     text(row.age, age === null ? "never" : counted ? `${Math.round(age / 10) * 10} of ${timeoutMs} ms` : `${ago(age)} ago`);
     row.bar.style.width = `${counted ? Math.min(100, (100 * age) / timeoutMs).toFixed(0) : 0}%`;
-    const by = this.#by(leg);
+    const by = live ? this.#by(leg) : "–";
     text(row.by, by);
     attribute(row.by, "title", by);
   }
@@ -139,7 +140,7 @@ export class Numbers {
   /** @param {string} key @param {string} value */
   #set(key, value) {
     const node = this.values.get(key);
-    if (node) text(node, value);
+    if (node) text(node, this.live ? value : "–");
   }
 
   /** @param {number} leg @param {(leg: number) => void} select @returns {Row} */

@@ -5,7 +5,6 @@ import { Above } from "./above.js";
 import { course } from "./course.js";
 import { attribute, byId, element, show, text } from "./dom.js";
 import { LEGS, legPoints } from "./kinematics.js";
-import { statusOf } from "./model.js";
 import { Odometry } from "./odometry.js";
 
 /** A picture that takes longer delays the messages that are sent 20 times a second. */
@@ -58,8 +57,7 @@ export class Picture {
     this.fallen.refresh(body);
     const poses = new Map(
       LEGS.map((number) => {
-        const leg = model.leg(number);
-        const status = leg ? statusOf(leg) : { key: "rests", mark: "○", word: "no state yet" };
+        const status = model.status(number, nowMs);
         const label = this.labels.get(number);
         if (label) {
           const [mark, word] = label.childNodes;
@@ -117,10 +115,9 @@ export class Picture {
 
   /** Describe it in words, for screen readers. @param {boolean} isThere not only commanded @param {number} nowMs */
   #describe(isThere, nowMs) {
-    const legs = this.model.state?.legs ?? [];
     const foot = (/** @type {number} */ leg) => ({ true: " and carries", false: " and carries nothing", null: "" })[`${this.model.carries(leg, nowMs)}`];
-    const words = legs.map((leg) => `leg ${leg.leg} ${statusOf(leg).word}${foot(leg.leg)}`).join(", ");
-    if (this.view) attribute(this.view.canvas, "aria-label", `The robot ${isThere ? "where it is" : "as commanded"}: ${words || "no state yet"}`);
+    const words = LEGS.map((leg) => `leg ${leg} ${this.model.status(leg, nowMs).word}${foot(leg)}`).join(", ");
+    if (this.view) attribute(this.view.canvas, "aria-label", `The robot ${isThere ? "where it is" : "as commanded"}: ${words}`);
   }
 
   async #build() {

@@ -12,14 +12,16 @@ export class Quality {
   }
 
   /**
-   * @param {number} nowMs @param {number} ageMs of the newest state @param {number} answerMs how long a wish took; NaN: none
+   * @param {number} nowMs @param {number} ageMs of the newest state; Infinity: not known @param {number} answerMs how long a wish took; NaN: none
    * @returns {{bars: number, known: string}} no bars: nothing may move
    */
   take(nowMs, ageMs, answerMs) {
+    if (ageMs === Infinity) this.seen = [];
+    if (ageMs === Infinity) return { bars: 0, known: "no link" };
     this.seen.push({ atMs: nowMs, ms: Math.max(ageMs, answerMs || 0) });
     while (this.seen[0].atMs < nowMs - WINDOW_MS) this.seen.shift();
     const worstMs = Math.max(...this.seen.map(({ ms }) => ms));
     const bars = WORST_MS.filter((ms) => worstMs < ms).length;
-    return { bars, known: worstMs < 10_000 ? `${Math.round(worstMs / 10) * 10} ms` : "no link" };
+    return { bars, known: `${Math.round(worstMs / 10) * 10} ms` };
   }
 }

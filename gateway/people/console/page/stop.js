@@ -11,6 +11,8 @@ const LEGS = 6;
 const SAME_TAP_MS = 1000;
 /** If the console is silent for this long after a press, the page connects again. */
 const DEAF_MS = 1000;
+/** How long a page that was opened may connect before it sends its viewer to the switch. */
+const OPENS_MS = 2000;
 
 /** Whether this is the space bar: with Option or AltGr its character is another space. @param {KeyboardEvent} event */
 function isSpace(event) {
@@ -24,16 +26,17 @@ export function stops(event) {
 
 /**
  * What the band next to STOP ALL shows: the situation, and the one thing to do next; `reason` is shown by a tap.
- * @param {{looks: boolean, touch: boolean, cut: import("./words.js").End | null, askedMsAgo: number | null, answer: StopMessage | null,
+ * @param {{looks: boolean, touch: boolean, opens: boolean, cut: import("./words.js").End | null, askedMsAgo: number | null, answer: StopMessage | null,
  *          mode: string, by: string | null, since: string | null, now: string, unconfirmed: string}} known
- *          `by`: who engaged STOP ALL, and `since` when; `now`: what the robot does, by the console; `unconfirmed`: its
+ *          `opens`: the page was opened a moment ago; `by`: who engaged STOP ALL, and `since` when; `now`: what the robot does, by the console; `unconfirmed`: its
  *          sentence while the power board does not confirm a Stop
  * @returns {{tone: "bad" | "stopped" | "asked" | "plain", line: string, next: string, reason: string}}
  */
-export function inWords({ looks, touch, cut, askedMsAgo, answer, mode, by, since, now, unconfirmed }) {
+export function inWords({ looks, touch, opens, cut, askedMsAgo, answer, mode, by, since, now, unconfirmed }) {
   const asked = askedMsAgo === null ? "" : `asked ${(askedMsAgo / 1000).toFixed(1)} s ago, `;
   const error = answer?.error ?? "";
   if (cut) {
+    if (opens && cut.cause === "connecting" && !asked) return { tone: "asked", line: "Connecting …", next: "", reason: "" };
     const { line, next, reason } = ended(cut);
     const waits = asked ? `: ${asked}and asked again once connected` : "";
     return { tone: "bad", line: `NOT CONNECTED: use the switch${waits}`, next: waits ? "" : next, reason: [line, reason].filter(Boolean).join(": ") };
@@ -59,7 +62,7 @@ export function inWords({ looks, touch, cut, askedMsAgo, answer, mode, by, since
 export class StopAll {
   /**
    * @param {import("./link.js").Link} link @param {import("./model.js").Model} model
-   * @param {{pressed: () => void, say: (line: string) => void}} callbacks
+   * @param {{pressed: () => void, say: import("./words.js").Say}} callbacks
    */
   constructor(link, model, callbacks) {
     this.link = link;
@@ -82,7 +85,10 @@ export class StopAll {
       if (event.timeStamp - pointedMs > SAME_TAP_MS) this.press(event); // of a keyboard, or of a screen reader
     });
     byId("reset").addEventListener("click", () => this.#reset());
-    byId("stop-known").addEventListener("click", () => this.reason && callbacks.say(sentence(this.reason)));
+    byId("stop-known").addEventListener("click", () => {
+      const { reason } = this;
+      if (reason) callbacks.say(() => (this.reason === reason ? sentence(reason) : ""));
+    });
     window.addEventListener("keydown", (event) => this.#key(event), { capture: true });
   }
 
@@ -120,7 +126,7 @@ export class StopAll {
     if (message.id !== this.resetId) return;
     this.resetId = null;
     const { ack } = message;
-    if (ack?.accepted) this.callbacks.say("Reset. Nothing moves until it is started again.");
+    if (ack?.accepted) this.callbacks.say(() => (this.model.runs ? "" : "Reset. Nothing moves until it is started again."));
     else this.callbacks.say(`No reset: ${ack ? because(ack) : message.error}.`);
   }
 
@@ -133,6 +139,7 @@ export class StopAll {
     const known = inWords({
       looks: this.#looks,
       touch: matchMedia("(pointer: coarse)").matches,
+      opens: nowMs < OPENS_MS,
       cut: model.cut(nowMs),
       askedMsAgo: this.asked ? nowMs - this.asked.atMs : null,
       answer: this.answer,

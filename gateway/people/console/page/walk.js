@@ -7,7 +7,7 @@
  */
 
 import { attribute, byId, element, enable, show, text } from "./dom.js";
-import { barred, obstacle, PERIOD_MS, whenLost } from "./hold.js";
+import { barred, cause, obstacle, PERIOD_MS, whenLost } from "./hold.js";
 import { Keys } from "./keys.js";
 import { LOST_MS, shake } from "./phone.js";
 import { Stick } from "./stick.js";
@@ -28,7 +28,7 @@ const BEGINS_MS = 6000;
 export class Walk {
   /**
    * @param {import("./link.js").Link} link @param {import("./model.js").Model} model
-   * @param {{mine: () => boolean, busy: () => string, say: (line: string) => void}} callbacks
+   * @param {{mine: () => boolean, busy: () => string, say: import("./words.js").Say}} callbacks
    *   `busy`: what else drives the legs, in words, or ""
    */
   constructor(link, model, callbacks) {
@@ -96,7 +96,7 @@ export class Walk {
 
   /** Its velocity: forward and left in m/s, and the turn in rad/s. @returns {number[]} */
   get going() {
-    return this.report?.posture === "walking" ? this.report.scaled : [0, 0, 0];
+    return this.report?.posture === "walking" && this.model.live(performance.now()) ? this.report.scaled : [0, 0, 0];
   }
 
   /** What drives: pressed while nothing else was held, and held since. */
@@ -133,7 +133,8 @@ export class Walk {
     shake(LOST_MS);
     const rises = this.report?.posture === "moving"; // and goes on until it stands
     const does = rises ? "What is held no longer counts" : "It stands still";
-    this.callbacks.say(`${this.#isKnown ? does : "This page no longer moves it"}: ${why}.`);
+    const of = cause(this, why);
+    this.callbacks.say(() => `${this.model.live(performance.now()) ? does : "This page no longer moves it"}: ${of()}.`);
   }
 
   /** The connection to the console ended, or STOP ALL was pressed: the walk is over here. @param {string} why */
@@ -163,7 +164,7 @@ export class Walk {
     } else if (message.limit && message.limit !== before?.limit) {
       this.callbacks.say(`${message.scaled.some(Boolean) ? "Slower than that" : "It stands still"}: ${message.limit}.`);
     } else if (message.now && message.now !== before?.now && !(this.dropped && message.posture === "standing")) {
-      this.callbacks.say(`${worded(this.model.who(message.now))}.`);
+      this.callbacks.say(() => (this.model.live(performance.now()) && this.report?.now === message.now ? `${worded(this.model.who(message.now))}.` : ""));
     }
     if (message.waits && message.press === this.press && message.posture !== null && !this.sits) {
       if (message.detail) this.#letGo();
@@ -191,17 +192,13 @@ export class Walk {
     text(byId("height"), `${Math.round((report?.height_m ?? this.heightM ?? USUAL_M) * 100)} cm`);
     for (const input of this.#choices("gait")) input.checked = input.value === this.gait;
     for (const input of this.#choices("speed")) input.checked = input.value === this.speed;
-    text(byId("walk-known"), this.#known());
+    text(byId("walk-known"), this.#known(nowMs));
   }
 
-  /** Whether anybody knows what the robot does. */
-  get #isKnown() {
-    return this.link.open && this.model.gateway.status === "connected";
-  }
-
-  #known() {
+  /** @param {number} nowMs */
+  #known(nowMs) {
     const { report } = this;
-    if (report && !this.#isKnown) return "What it does is not known.";
+    if (this.active && !this.model.live(nowMs)) return "What it does is not known.";
     if (!report) return this.active ? "It begins …" : "This page does not walk the robot.";
     const known = `${worded(this.model.who(report.now))}, ${report.gait}`;
     if (report.posture !== "walking") return known;
@@ -219,7 +216,7 @@ export class Walk {
     this.timer ??= setInterval(() => this.#tick(), PERIOD_MS);
   }
 
-  /** It is held now, or a little further. What is pushed beside something else has to be pushed anew. @param {Control[]} pushed */
+  /** It is held now, or a little further. What is pushed while something else drives has to be pushed anew. @param {Control[]} pushed */
   #held(pushed) {
     if (!pushed.some(moves) || this.driving === pushed) return;
     if (this.driving) {
@@ -246,7 +243,8 @@ export class Walk {
     if (why) {
       this.#letGo();
       shake(LOST_MS);
-      this.callbacks.say(`Nothing moves: ${why}.`);
+      const of = cause(this, why);
+      this.callbacks.say(() => `Nothing moves: ${of()}.`);
       return;
     }
     if (sits && !this.active) {
@@ -256,6 +254,7 @@ export class Walk {
     this.press = this.link.nextId();
     this.goesOn = false;
     this.pressedMs = nowMs;
+    if (this.dropped) this.callbacks.say("");
     this.dropped = false;
     this.sits = sits;
     if (!this.active) this.timer = setInterval(() => this.#tick(), PERIOD_MS);

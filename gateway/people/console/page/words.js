@@ -13,17 +13,20 @@ export const UNDRIVEN = "nobody has the lease; ";
 const DAY_MS = 86_400_000;
 
 /**
- * @typedef {"connecting" | "offline" | "lost" | "deaf" | "closed" | "rejected" | "signed_out" | "full" | "gone" | "silent" | "old"
+ * @typedef {"connecting" | "offline" | "lost" | "deaf" | "closed" | "rejected" | "signed_out" | "full" | "gone" | "silent" | "old" | "frozen"
  *           | "page_silent" | "taken" | "gateway" | "restarted"} Cause
  * @typedef {{cause: Cause, by?: string | null, forMs?: number, detail?: string | null}} End
  *   `by`: who has the lease now; `forMs`: how long nothing came; `detail`: the technical reason, a line for each host
  */
 
+/** Says what happened. A function is asked again and again, so that its sentence stays true; "" once it is over. @typedef {(line: string | (() => string)) => void} Say */
+
 /** The command that serves this page, for a viewer with a terminal. */
 const CONSOLE = `hexapod-gateway console${location.host === "127.0.0.1:8080" ? "" : ` --listen ${location.host}`}`;
 const AGAIN = "Stay near the robot: this page connects again by itself.";
 const ASK = "Ask the person who runs the robot.";
-const DRIVE = "Press Drive to go on.";
+/** Of a cause that has passed. @type {Record<string, string>} */
+const PAST = { is: "was", has: "had", does: "did", sends: "sent", accepts: "accepted" };
 /** What happened, what to do next, and what a person with a terminal does. @type {Record<Cause, [(end: End) => string, string, string?]>} */
 const CAUSES = {
   connecting: [() => "this page is connecting", ""],
@@ -37,13 +40,11 @@ const CAUSES = {
   gone: [() => "the console has lost the gateway", ASK, "See why it ended: systemctl status hexapod-gateway"],
   silent: [() => "the gateway sends nothing", ASK, "See its journal: journalctl -u hexapod-gateway"],
   old: [({ forMs }) => `the newest state is ${ago(forMs ?? 0)} old`, AGAIN],
-  page_silent: [
-    ({ by, forMs }) => `this page was hidden, locked or frozen for ${ago(forMs ?? 0)}, so its lease ended${by ? `; ${by} drives now` : ""}`,
-    DRIVE,
-  ],
-  taken: [({ by }) => `${by} has taken the lease`, "Ask for it to go on."],
-  gateway: [({ forMs }) => `the gateway did not keep this page's lease, and last confirmed it ${ago(forMs ?? 0)} ago`, DRIVE],
-  restarted: [() => "the gateway was started again", DRIVE],
+  frozen: [({ forMs }) => `this page was frozen for ${ago(forMs ?? 0)}`, ""],
+  page_silent: [({ forMs }) => `this page was hidden, locked or frozen for ${ago(forMs ?? 0)}, so its lease ended`, ""],
+  taken: [({ by }) => `${by} has taken the lease`, ""],
+  gateway: [({ forMs }) => `the gateway did not keep this page's lease, which it had last confirmed ${ago(forMs ?? 0)} before`, ""],
+  restarted: [() => "the gateway was started again", ""],
 };
 
 /**
@@ -54,6 +55,11 @@ export function ended(end, terminal = HAS_TERMINAL) {
   const [line, next, typed] = CAUSES[end.cause];
   const reasons = (end.detail ?? "").split("\n").map((each) => (terminal ? each : each.split(" → ")[0]));
   return { line: line(end), next: (terminal && typed) || next, reason: reasons.join("; ") };
+}
+
+/** A cause that has passed, without what was to be done about it. @param {string} why */
+export function past(why) {
+  return why.replace(/; (press|ask|reset) .*/, "").replace(/\b(is|has|does|sends|accepts)\b/g, (verb) => PAST[verb]);
 }
 
 /** A sentence that begins so; a name keeps its letters. @param {string} line @param {string[]} [names] */

@@ -217,7 +217,7 @@ class PageCalibration:
         match step.do:
             case "write" | "landing" | "accept_default":
                 if not mine:
-                    raise CalibrationError("this page does not have the lease; press Drive first")
+                    raise CalibrationError("this page does not have the lease")
                 if guide.servo_id is not None and step.do != "landing":
                     raise CalibrationError(f"servo {guide.servo_id} is under test; stop it first")
                 return await self._write(step, guide)

@@ -75,7 +75,7 @@ class PageWalks:
             return
         self._newest, self._spent, self._ending = wish, wish.press, False
         if token is None:
-            self.send(walk_message(wish.press, "this page does not have the lease; press Drive first"))
+            self.send(walk_message(wish.press, "this page does not have the lease"))
             return
         try:
             threading.Thread(target=self._run, args=(token,), name=self._name, daemon=True).start()

@@ -117,14 +117,16 @@ class Auth:
         """The session of the request, for a WebSocket with a proof of its key; else the response."""
         host, origin = headers.get("Host"), headers.get("Origin")
         if not self._site.knows_host(host):
-            return web.Response(status=403, text=f"this console is at {self._site.url}: open that address")
-        if (url.path == WEBSOCKET or origin is not None) and origin != f"{self._site.scheme}://{host}":
+            return web.Response(
+                status=403, text="this console is not known by that name; console --host NAME admits it"
+            )
+        if (url.path == WEBSOCKET or origin is not None) and not self._site.is_own(origin, host):
             return web.Response(status=403, text="only the console's own page may come here")
         if url.path == "/" and "token" in url.query:
-            return await self._exchange(*url.query["token"].partition(",")[::2])
+            return await self._exchange(self._site.cookie_at(host), *url.query["token"].partition(",")[::2])
         if url.path in PUBLIC:
             return self._files[url.path].response(headers)
-        entry = self._sessions.cookie(_cookie(headers, self._site.cookie))
+        entry = self._sessions.cookie(_cookie(headers, self._site.cookie_at(host)))
         if entry is not None and (url.path != WEBSOCKET or self._is_proved(entry, url.query)):
             return entry
         return self._refused("You are not signed in.")
@@ -135,14 +137,14 @@ class Auth:
         wanted = proof(entry.key_sha256, f"page {nonce}")
         return self._nonces.spend(nonce, time.monotonic_ns()) and hmac.compare_digest(wanted.encode(), made.encode())
 
-    async def _exchange(self, token: str, card: str) -> web.Response:
+    async def _exchange(self, name: str, token: str, card: str) -> web.Response:
         found = await asyncio.get_running_loop().run_in_executor(self._writer, self._sessions.exchange, token)
         if found is None:
             return self._refused("This link was used already, or is too old.")
         cookie, key = found
         card = f"?{card}" if card.isascii() and card.isalpha() else ""
         response = web.Response(status=303, headers={"Location": f"{PUBLIC[0]}{card}#{key}"})
-        name, secure = self._site.cookie, self._site.tls is not None
+        secure = self._site.tls is not None
         response.set_cookie(name, cookie, max_age=COOKIE_S, httponly=True, samesite="strict", secure=secure)
         return response
 

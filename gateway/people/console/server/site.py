@@ -9,6 +9,7 @@ socket unit keeps the port, and passes the sockets as file descriptors from 3 on
 
 import errno
 import os
+import re
 import shlex
 import socket
 import ssl
@@ -28,6 +29,7 @@ from gateway.own_command import this_command
 from gateway.people.commands.options import Reach
 from gateway.people.console.pages.page_messages import Role
 
+_HOST: Final = re.compile(r"(?P<name>[\w.-]+|\[[\da-f:.]+])(?::(?P<port>\d{1,5}))?", re.ASCII | re.IGNORECASE)
 LOCALHOST: Final = ("127.0.0.1", "::1")
 """Browsers resolve `localhost` to these, independent of the hosts file. Links name the first."""
 BACKLOG: Final = 64
@@ -40,12 +42,16 @@ RECEIVED_BYTES: Final = 8192
 
 @dataclass(frozen=True)
 class Site:
-    """One listening address. `hosts`: the names by which browsers reach it; links have the first."""
+    """One listening address. `hosts`: the names by which browsers reach it; links have the first.
+
+    `admitted`: names of a proxy or a tunnel in front of it, at any port, also with TLS that ends there.
+    """
 
     address: str
     port: int
     hosts: tuple[str, ...]
     tls: ssl.SSLContext | None = None
+    admitted: tuple[str, ...] = ()
 
     @property
     def scheme(self) -> str:
@@ -59,9 +65,13 @@ class Site:
 
     @property
     def cookie(self) -> str:
-        """The session cookie's name, with the port: browsers send a cookie to all ports, also of other consoles."""
-        host = "__Host-" if self.tls else ""  # no other host can set it
-        return f"{host}hexapod-console-{self.port}"
+        """The session cookie's name at the console's own port."""
+        return self.cookie_at(None)
+
+    def cookie_at(self, host: str | None) -> str:
+        """Return the session cookie's name, with the browser's port: browsers send a cookie to all ports of a host."""
+        only = "__Host-" if self.tls else ""  # no other host can set it
+        return f"{only}hexapod-console-{_split(host or '')[1] or self.port}"
 
     @property
     def link_command(self) -> str:
@@ -70,16 +80,32 @@ class Site:
         return f"{sudo}{this_command()} console --link --listen {shlex.quote(with_port(self.address, self.port))}"
 
     def knows_host(self, host: str | None) -> bool:
-        """Return whether a Host header names this site."""
+        """Return whether a Host header names this site. A tunnel leads to it from loopback at any port."""
         own = [with_port(each, self.port) for each in self.hosts]
         if self.port == (443 if self.tls else 80):  # browsers leave it out
             own += [each.rpartition(":")[0] for each in own]
-        return host is not None and host.lower() in own
+        name, port = _split((host or "").lower())
+        return host is not None and (
+            host.lower() in own
+            or name in self.admitted
+            or (port != "" and name.strip("[]") in (*LOCALHOST, "localhost"))
+        )
+
+    def is_own(self, origin: str | None, host: str | None) -> bool:
+        """Return whether an Origin header is of a page of this site, as reached by this Host."""
+        schemes = (self.scheme, "https") if _split((host or "").lower())[0] in self.admitted else (self.scheme,)
+        return origin in [f"{scheme}://{host}" for scheme in schemes]
 
 
 def with_port(host: str, port: int) -> str:
     """Return `HOST:PORT`, with an IPv6 address in brackets."""
     return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+
+
+def _split(host: str) -> tuple[str, str]:
+    """Return a Host header's name, an IPv6 address in brackets, and its port; "": it has none."""
+    found = _HOST.fullmatch(host)
+    return (found["name"], found["port"] or "") if found else ("", "")
 
 
 @contextmanager
@@ -125,9 +151,15 @@ _NEXT_PORTS: Final = range(CONSOLE_PORT + 1, CONSOLE_PORT + 20)
 """Tried if no address is given and another program has the default port."""
 
 
-def site(listen: str, certificate: Path | None, key: Path | None) -> Site:
+def site(listen: str, certificate: Path | None, key: Path | None, admitted: Sequence[str] = ()) -> Site:
     """Return the site at `listen`. Raises ConfigError, with a fix, if it is no address or needs TLS."""
     address, port = address_of(listen)
+    for each in admitted:
+        if not each or _split(each) != (each, ""):
+            raise ConfigError(
+                f"--host {each} is no name of a host, such as robot.example: leave out scheme, port and path"
+            )
+    names = tuple(each.lower() for each in admitted)
     if (certificate is None) != (key is None):
         raise ConfigError("--cert and --key go together: the certificate and its private key (PEM)")
     if certificate is None or key is None:
@@ -138,15 +170,15 @@ def site(listen: str, certificate: Path | None, key: Path | None) -> Site:
                 "or keep it on this machine (--listen 127.0.0.1:8080), and reach it through ssh -L 8080:127.0.0.1:8080"
             )
         hosts = (*LOCALHOST, "localhost") if address == "localhost" else tuple(dict.fromkeys((address, "localhost")))
-        return Site(address, port, hosts)
-    names = hosts_of(read_certificate(certificate))
-    if not names:
+        return Site(address, port, hosts, admitted=names)
+    certified = hosts_of(read_certificate(certificate))
+    if not certified:
         raise ConfigError(
             f"{certificate} names no host, so no browser accepts it: "
             "make one with hexapod-gateway certs issue web --role console --host NAME --dir DIR"
         )
-    own = (address,) if address.lower() in names else ()
-    return Site(address, port, tuple(dict.fromkeys((*own, *names))), _tls(certificate, key))
+    own = (address,) if address.lower() in certified else ()
+    return Site(address, port, tuple(dict.fromkeys((*own, *certified))), _tls(certificate, key), names)
 
 
 def address_of(listen: str) -> tuple[str, int]:
@@ -242,5 +274,7 @@ class Options:
     adapt: bool = False
     open_browser: bool = False
     phone: bool = False
+    hosts: tuple[str, ...] = ()
+    """Further names by which browsers may reach it."""
     card: str = ""
     """The card of the page to which the first link leads; empty: the page's start."""
