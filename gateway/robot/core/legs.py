@@ -247,7 +247,7 @@ class Legs:
                 moved.append(leg)
         for leg, servos in stops:
             effects += self._stop_on_command(leg, servos, command, now_ns, beside=leg in moved)
-        for leg in moved:  # only now is it known which starts have to wait for others
+        for leg in self if stops else moved:  # only now is it known which starts have to wait for others
             effects += self._send(leg, now_ns)
         if whole and command.moves:
             effects.append(withdrawn(command, Reason.WHOLE_ROBOT, _MIXED))

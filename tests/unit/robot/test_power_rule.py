@@ -140,6 +140,10 @@ WITH_A_BOARD: Final = {
         150 servo 31 set 91 → command 31 set 91; completed 3
         200 board → command 32 start 45; completed 2
         400 time → watchdog 3 stop; announce watchdog_expired  # watched since the set""",
+    "a stop of the servos that a start waited for lets the others start": """
+        10 legs 34 start 90 → nothing
+        20 board (fed 31 32 33) → nothing
+        30 leg 4 stop → command 4 stop; completed 2; command 3 start 90; completed 1 coalesced""",
     "a stop ends a start that waits for its supply": """
         10 leg 3 start 90
         20 leg 3 stop → command 3 stop; …
