@@ -18,7 +18,18 @@ from gateway.endpoints import host_and_port
 from gateway.errors import ConfigError
 from gateway.host import effective
 from gateway.host.directories import state_to_read
-from gateway.onboard.check.table import LET_READ, RESTART, SERVICE, CheckedRobot, Result, failure, first, warning, well
+from gateway.onboard.check.table import (
+    LET_READ,
+    RESTART,
+    SERVICE,
+    CheckedRobot,
+    Result,
+    failure,
+    first,
+    held,
+    warning,
+    well,
+)
 from gateway.robot.zenoh_io import exposure
 from gateway.robot.zenoh_io.session import bind_fault, is_late, service_config
 from gateway.zenoh_config import CA, TLS, certificate_files, get, listen_endpoints
@@ -117,12 +128,14 @@ def port(robot: CheckedRobot, endpoint: str, setting: str = "zenoh.listen") -> R
     """Return whether the service can listen on `endpoint`, or a gateway does already."""
     fault = bind_fault(endpoint)
     taken, why = fault is not None and fault.errno == errno.EADDRINUSE, fault and fault.strerror
-    ours = taken and (robot.gateway_runs or effective.running() is not None)
+    holders = robot.open_files.listeners(endpoint) if taken else []
+    ours = taken and (holders or robot.gateway_runs or effective.running() is not None)
     free = "is free" if host_and_port(endpoint)[1].isdecimal() else "was not tried: it names no port"
     return first("port",
+        held(endpoint, robot.others(holders), f"set another {setting}, or, "),
         well(f"{endpoint} is in use by the running gateway") if ours else None,
-        failure(taken, f"{endpoint} is taken by another program",
-                f"find that program (ss -ltnp), or set another {setting}"),
+        failure(taken, f"{endpoint} is held by another program",
+                f"set another {setting}; this names the program: sudo hexapod-gateway check"),
         warning(fault and is_late(fault), f"{endpoint} is not there yet ({why}): the service keeps trying, and listens "
                 "on the others", f"see the addresses of this machine (ip address), or set another {setting}"),
         failure(fault, f"{endpoint} cannot be listened on: {why}",

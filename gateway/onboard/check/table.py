@@ -7,7 +7,7 @@ as printed; a person fills in words in capitals. Probes that read the same are i
 import json
 import subprocess
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -20,6 +20,7 @@ from rich.text import Text
 
 from gateway.errors import GatewayError
 from gateway.onboard.computer import ROOT_DIR
+from gateway.onboard.holders import Holder, OpenFiles
 from gateway.people.terminal import say
 from gateway.robot.settings import Settings
 from gateway.text import visible
@@ -60,6 +61,13 @@ def _fault(verdict: Verdict, when: object, sentence: str, remedy: str) -> Row:
 failure, warning = partial(_fault, Verdict.FAILURE), partial(_fault, Verdict.WARNING)
 
 
+def held(what: str, others: Sequence[Holder], setting: str = "") -> Row:
+    """Return the failure that these programs have `what`. `setting`: how to use another one."""
+    ends = "; ".join(each.end for each in others)
+    return failure(others, f"{what} is held by {', '.join(map(str, others))}, so the service cannot use it",
+                   f"{setting}if that may end, with all legs stopped: {ends}; {RESTART}")  # fmt: skip
+
+
 def well(sentence: str) -> Row:
     return Verdict.OK, sentence, ""
 
@@ -92,6 +100,13 @@ class CheckedRobot:
     """The service's user and group ids; None if the user does not exist."""
     gateway_runs: bool = False
     """Whether a gateway holds the wire. Set by the wire's probe."""
+    open_files: OpenFiles = field(default_factory=OpenFiles)
+
+    def others(self, holders: Sequence[Holder]) -> list[Holder]:
+        """Return the holders that are not the service; where none is installed, none while a gateway runs."""
+        if self.gateway_runs and self.unit.get("LoadState") != "loaded":
+            return []
+        return [each for each in holders if str(each.pid) != self.unit.get("MainPID")]
 
     def path(self, absolute: str | Path) -> Path:
         """Return this path of the machine."""

@@ -19,7 +19,7 @@ from gateway.host.directories import state_to_read
 from gateway.model.elkapod import FRAME_BYTES
 from gateway.model.frames import ONE_LEG_LEN, Framing
 from gateway.onboard import computer
-from gateway.onboard.check.table import RESTART, CheckedRobot, Result, Row, failure, first, warning, well
+from gateway.onboard.check.table import RESTART, CheckedRobot, Result, Row, failure, first, held, warning, well
 from gateway.own_command import command
 from gateway.robot.power.interface import BITRATE, open_bus
 from gateway.robot.runtime.calibrations import CALIBRATION_FILE, load
@@ -55,23 +55,24 @@ def _node_faults(robot: CheckedRobot, path: str, group: str, absent: str) -> lis
 
 
 def _opened(
-    name: str, what: str, attempt: Callable[[], None], remedy: str, *more: Row, rows: Sequence[Row] = (), runs: bool,
-    opens: str = "opens",
+    robot: CheckedRobot, name: str, what: str, attempt: Callable[[], None], remedy: str, *more: Row,
+    rows: Sequence[Row] = (), opens: str = "opens",
 ) -> Result | None:
-    """Open and close a device as the service does, unless a gateway `runs`, which has it, or one of `rows` applies."""
+    """Open and close a device as the service does, unless a gateway has it, or one of `rows` applies."""
     error: Exception | None = None
+    runs = robot.gateway_runs
     try:
         if not (runs or any(rows)):
             attempt()
     except Exception as raised:  # also of any of python-can's interfaces
         error = raised
     cause = error and what.startswith("/") and error.__cause__
-    held = isinstance(cause, OSError) and cause.errno in (errno.EAGAIN, errno.EBUSY)
+    busy = isinstance(cause, OSError) and cause.errno in (errno.EAGAIN, errno.EBUSY)
     return first(name,
         *rows,
+        held(what, robot.others(robot.open_files.holders(what))) if runs or busy else None,
         well(f"{what} is the running gateway's") if runs else None,
-        failure(held, f"{what} is held by another program", f"find and end that program (sudo fuser -v {what}), then: "
-                f"{RESTART}"),
+        failure(busy, f"{what} is held by another program", "this names it: sudo hexapod-gateway check"),
         failure(error, str(error), remedy),
         *more,
         well(f"{what} {opens}"))
@@ -85,8 +86,8 @@ def plugin(robot: CheckedRobot) -> Iterator[Result | None]:
     if wire.built_in is None:
         robot.gateway_runs = effective.running() is not None
         device = partial(PluginDevice, wire.name, wire.plugin, exclusive=False)
-        yield _opened("wire", wire.name, lambda: device().close(), "read what the plug-in needs, and fix [wire] of the "
-                      "configuration", runs=robot.gateway_runs)
+        yield _opened(robot, "wire", wire.name, lambda: device().close(), "read what the plug-in needs, and "
+                      "fix [wire] of the configuration")
 
 
 def spi_bus(robot: CheckedRobot) -> Iterator[Result | None]:
@@ -100,8 +101,8 @@ def spi_bus(robot: CheckedRobot) -> Iterator[Result | None]:
     device = partial(KernelDevice, spi.device, spi.speed_hz, mode=protocol.spi_mode)
     with suppress(OSError):  # it does not open, which the line reports
         robot.gateway_runs = not any(rows) and outside.is_gateways(spi.device)
-    yield _opened("SPI device", spi.device, lambda: device().close(), f"is {spi.device} a SPI device? see dmesg",
-                  rows=rows, runs=robot.gateway_runs, opens="opens" if spidev_module() else f"opens; {NO_SPIDEV}")
+    yield _opened(robot, "SPI device", spi.device, lambda: device().close(), f"is {spi.device} a SPI device? see dmesg",
+                  rows=rows, opens="opens" if spidev_module() else f"opens; {NO_SPIDEV}")
     release, built = computer.kernel(root)
     selects = {True: "chip select is a GPIO", False: "the controller drives chip select", None: ""}
     named = (computer.computer(root), release and f"Linux {release}", computer.driver_of(spi.device, root),
@@ -179,10 +180,10 @@ def uart(robot: CheckedRobot) -> Iterator[Result | None]:
         failure(console or login, f"{path} has Linux's console or a login, which disturb the controller",
                 f"free it, and reboot: {setup}"),
     ]
-    yield _opened("UART", path, lambda: SerialUart(path).close(), f"is {path} a UART? see dmesg",
+    yield _opened(robot, "UART", path, lambda: SerialUart(path).close(), f"is {path} a UART? see dmesg",
         warning(robot.service and not name.startswith(_ALLOWED), f"{path} opens, but the unit lets the service open "
                 f"{_ALLOWED}… only", "sudo systemctl edit hexapod-gateway, with [Service] "
-                f"DeviceAllow=char-{name.rstrip('0123456789')} rw"), rows=rows, runs=robot.gateway_runs)
+                f"DeviceAllow=char-{name.rstrip('0123456789')} rw"), rows=rows)
 
 
 # ---- the power board
@@ -207,8 +208,8 @@ def power(robot: CheckedRobot) -> Iterator[Result | None]:
     elif settings.interface == "sim":
         rows = [failure("--sim" not in robot.unit.get("Environment", ""), "is simulated: no servo loses its supply",
                         'set power.interface; "" is none')]
-    yield _opened("power board", path, lambda: open_bus(settings).shutdown(), "see dmesg, and the settings of [power]",
-                  rows=rows, runs=robot.gateway_runs, opens="opens; `status` shows whether the board answers")
+    yield _opened(robot, "power board", path, lambda: open_bus(settings).shutdown(), "see dmesg, and the "
+                  "settings of [power]", rows=rows, opens="opens; `status` shows whether the board answers")
 
 
 # fmt: on

@@ -5,6 +5,7 @@ import datetime as dt
 import errno
 import os
 import re
+import socket
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -22,6 +23,7 @@ from gateway.onboard.check import installation, security, wire
 from gateway.onboard.check.installation import AS_ROOT
 from gateway.onboard.check.move import output
 from gateway.onboard.check.table import CheckedRobot, Probes, Result, Verdict, results
+from gateway.onboard.holders import Holder, OpenFiles
 from gateway.onboard.whole import Whole
 from gateway.robot.runtime import calibrations
 from gateway.robot.settings import Settings
@@ -340,6 +342,13 @@ UNIT = "systemd unit"
 NULL = uart("/dev/null")
 
 
+X, Y = Holder(7, "x", "x.service"), Holder(8, "y", "")
+
+
+def held_by(*holders: Holder) -> dict[str, object]:
+    return {"gateway.onboard.holders.OpenFiles.holders": lambda *_: list(holders)}
+
+
 def but(plant: Callable[[Path], CheckedRobot], **differs: Any) -> Callable[[Path], CheckedRobot]:
     def plants(root: Path) -> CheckedRobot:
         made = plant(root)
@@ -401,10 +410,25 @@ SCENES = (
     Scene("SPI device", here(**NODE), "failure SPI device: /dev/null cannot be opened … is /dev/null a SPI device?"),
     Scene("SPI device", here(**NODE), "failure SPI device: /dev/null cannot be opened",
           patch={"gateway.robot.spi.outside.is_gateways": raises(OSError(errno.ENODEV, "no such device"))}),
-    Scene("SPI device", here(**NODE), "failure … /dev/null is held by another program … sudo fuser -v /dev/null",
-          patch={SPIDEV: BUSY, "gateway.robot.spi.outside.is_gateways": lambda _: False}),
+    Scene("SPI device", here(**NODE), "failure … /dev/null is held by another program … sudo hexapod-gateway check",
+          patch={**held_by(), SPIDEV: BUSY, "gateway.robot.spi.outside.is_gateways": lambda _: False}),
+    Scene("SPI device", here(**NODE), "failure … /dev/null is held by x (process 7, x.service), y (process 8) … sudo "
+          "systemctl stop x.service; sudo kill 8; sudo systemctl reset-failed hexapod-gateway; sudo systemctl restart",
+          patch={**held_by(X, Y), SPIDEV: BUSY, "gateway.robot.spi.outside.is_gateways": lambda _: False}),
     Scene("SPI device", here(**NODE), "ok SPI device: /dev/null is the running gateway's",
-          patch={SPIDEV: BUSY, "gateway.robot.spi.outside.is_gateways": lambda _: True}),
+          patch={**held_by(X), SPIDEV: BUSY, "gateway.robot.spi.outside.is_gateways": lambda _: True}),
+    Scene("SPI device", but(here(**NODE), unit={**UP, "MainPID": "7"}), "failure … /dev/null is held by y (process 8)",
+          patch={**held_by(X, Y), SPIDEV: BUSY, "gateway.robot.spi.outside.is_gateways": lambda _: True}),
+    Scene("SPI device", but(here(**NODE), unit={**UP, "MainPID": "7"}), "ok … is the running gateway's",
+          patch={**held_by(X), SPIDEV: BUSY, "gateway.robot.spi.outside.is_gateways": lambda _: True}),
+    *(Scene("port", but(listens("tcp/127.0.0.1:7447"), unit={**UP, "MainPID": "7"}), line, patch={
+          "gateway.onboard.check.security.bind_fault": lambda _: OSError(errno.EADDRINUSE, "in use"),
+          "gateway.onboard.holders.OpenFiles.listeners": lambda *_, those=those: those,
+          "gateway.host.effective.running": lambda: None}) for those, line in (
+              ([X], "ok port: tcp/127.0.0.1:7447 is in use by the running gateway"),
+              ([X, Y], "failure port: tcp/127.0.0.1:7447 is held by y (process 8), … set another zenoh.listen, or, if "
+               "that may end, with all legs stopped: sudo kill 8; sudo systemctl reset-failed"),
+              ([], "failure port: tcp/127.0.0.1:7447 is held by another program … sudo hexapod-gateway check"))),
     Scene("wire", here()),
     Scene("wire", BOARD, "ok wire: x opens →"),
     Scene("wire", BOARD, "failure wire: x: no such device → read what the plug-in needs",
@@ -446,7 +470,8 @@ SCENES = (
           patch={SERIAL: not_tried}),
     Scene("UART", but(NULL, gateway_runs=True), "ok UART: … is the running gateway's", patch={SERIAL: not_tried}),
     Scene("UART", console("tty1"), "ok UART: /dev/null opens", patch={SERIAL: lambda _: Opened()}),
-    Scene("UART", NULL, "failure UART: /dev/null is held by another program", patch={SERIAL: BUSY}),
+    Scene("UART", NULL, "failure UART: /dev/null is held by x (process 7, x.service)",
+          patch={**held_by(X), SERIAL: BUSY}),
     Scene("UART", served(uart("/dev/full")), "warning UART: /dev/full opens, but the unit lets the service open "
           "ttyAMA… only → sudo systemctl edit hexapod-gateway, with [Service] DeviceAllow=char-full rw",
           patch={SERIAL: lambda _: Opened()}),
@@ -586,3 +611,23 @@ def test_the_highest_currents_show_which_output_feeds_a_servo(moving: dict[str, 
 
     rest = [report({"11": 0.008, "12": 0.008, "61": 0.008}), report({"61": 0.003, "12": None})]
     assert says in output(rest, [report(dict(moving)), report(dict.fromkeys(moving, 0.001))], 61)
+
+
+# ---- who has it
+
+
+def test_who_has_a_file_or_port_is_named_with_its_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also one that has it on all addresses, and not one on another address or port."""
+    monkeypatch.setattr(os, "getpid", lambda: 0)  # or a process would leave itself out
+    device, own = tmp_path / "device", int(os.readlink("/proc/self"))
+    with device.open("w"), socket.create_server(("127.0.0.1", 0)) as one, socket.create_server(("", 0)) as every:
+        port, ports, found = one.getsockname()[1], every.getsockname()[1], OpenFiles()
+        for holders in (
+            found.holders(str(device)),
+            *(found.listeners(f"tcp/{host}:{port}") for host in ("127.0.0.1", "localhost", "0.0.0.0", "[::]")),  # noqa: S104
+            *(found.listeners(f"tls/{host}:{ports}") for host in ("127.0.0.1", "127.0.0.2")),
+        ):
+            assert [each.pid for each in holders] == [own]
+            assert f"(process {own}" in str(holders[0])
+        for nobodys in (f"tcp/127.0.0.2:{port}", f"udp/127.0.0.1:{port}", "tcp/127.0.0.1:1", "unixsock-stream/x"):
+            assert found.listeners(nobodys) == []
