@@ -29,6 +29,8 @@ _NOT_CONFIGURED: Final = ("unpacked", "half-configured", "triggers-pending", "tr
 _STATE: Final = f"/var/lib/{SERVICE}"
 _LEAST_FREE_MB, _LEAST_INODES = 20, 100
 """Room for some calibrations and lists."""
+_RUN, _LEAST_RUN_MB = "/run", 1
+"""In memory: a start writes a copy of gateway.toml there, and the black box's ring, which stays."""
 _HARMLESS: Final = frozenset(
     ("Description", "After", "Wants", "Environment", "ReadWritePaths", "CPUWeight", "IOWeight", "LogLevelMax")
 )
@@ -57,8 +59,8 @@ def machine(robot: CheckedRobot) -> Iterator[Result | None]:
     slow = robot.text(f"{cpu}governor") == "powersave" and not robot.text(f"{cpu}driver").endswith("pstate")
     yield first("processor",
         warning(slow, "its governor is powersave, which keeps it at its lowest clock: a Stop may be late",
-                "echo 'w /sys/devices/system/cpu/cpu*/cpufreq/scaling_governor - - - - performance' | sudo tee "
-                "/etc/tmpfiles.d/hexapod-governor.conf && sudo systemd-tmpfiles --create hexapod-governor.conf"))
+                "sudo tee /etc/tmpfiles.d/hexapod-governor.conf <<<'w /sys/devices/system/cpu/cpu*/cpufreq/"
+                "scaling_governor - - - - performance' && sudo systemd-tmpfiles --create hexapod-governor.conf"))
     for hwmon in (f"/sys/class/hwmon/{each.name}" for each in robot.path("/sys/class/hwmon").glob("hwmon*")):
         low = robot.text(f"{hwmon}/name") == "rpi_volt" and robot.text(f"{hwmon}/in0_lcrit_alarm") == "1"
         yield first("supply",
@@ -70,7 +72,7 @@ def machine(robot: CheckedRobot) -> Iterator[Result | None]:
             fcntl.ioctl(any_socket, _ASK_POWER_SAVE, asked)
             yield first("Wi-Fi",
                 warning(not asked[_DISABLED_BYTE], f"{wifi} saves power, so commands come in bursts, and legs stop",
-                        f"printf '[connection]\\nwifi.powersave = 2\\n' | sudo tee {_NM} && sudo systemctl restart "
+                        f"sudo tee {_NM} <<<$'[connection]\\nwifi.powersave = 2' && sudo systemctl restart "
                         "NetworkManager"))
 
 
@@ -140,7 +142,8 @@ def unit(robot: CheckedRobot) -> Iterator[Result | None]:
     if load != "masked":
         yield first("systemd unit",
             warning(load in ("", "not-found"), f"is not installed, or systemd does not run here: {_NO_STOP}",
-                    f"{_INSTALL}; without systemd, run `hexapod-gateway stop-servos` each time the gateway ends"),
+                    "without systemd, run `hexapod-gateway stop-servos` each time the gateway ends; with it: "
+                    f"{_INSTALL}"),
             failure(load != "loaded", f"cannot be loaded ({load})", f"systemctl status {SERVICE} shows why"),
             failure(cannot_run, f"{cannot_run} cannot be run: {_CANNOT_START}",
                     f"install the package again, with what it depends on: {_INSTALL}"),
@@ -159,7 +162,7 @@ def drop_ins(robot: CheckedRobot) -> Iterator[Result | None]:
     for path in robot.unit.get("DropInPaths", "").split():
         assigned = _ASSIGNED.findall(robot.text(path).replace("\\\n", " "))
         environment = " ".join(value for key, value in assigned if key == "Environment")
-        keys = {key for key, _ in assigned}
+        keys = {key for key, value in assigned if key != "DeviceAllow" or not value}  # a further device
         depends = ", ".join(sorted(keys - _HARMLESS | set(_OURS.findall(environment))))
         aside = f"stop the robot, then put it aside: sudo mv {path} {path}.off && {_RELOAD} && {RESTART}"
         yield first("drop-in",
@@ -207,15 +210,17 @@ def state(robot: CheckedRobot) -> Iterator[Result | None]:
                     "end", f"sudo chown -R {SERVICE}: {_STATE} && sudo chmod -R u+rwX {_STATE} && {RESTART}"),
             warning(kind in FORGETS, f"{_STATE} is on {kind}, which a boot empties: calibration, revocations and the "
                     "emergency stop are lost then", "keep the folder on a partition of its own (docs/robot.md)"))
-    for mount in dict.fromkeys(mount_of(each)[0] for each in (folder, robot.root)):
-        disk = os.statvfs(mount)
+    for mount in dict.fromkeys(mount_of(each)[0] for each in (folder, robot.path(_RUN), robot.root)):
+        disk, in_run = os.statvfs(mount), mount.endswith(_RUN)
         free_mb, inodes = disk.f_bavail * disk.f_frsize >> 20, disk.f_favail if disk.f_files else _LEAST_INODES
+        result = "the service cannot start" if in_run else _NOT_KEPT
+        full = free_mb < (_LEAST_RUN_MB if in_run else _LEAST_FREE_MB) or inodes < _LEAST_INODES
         yield first("disk",
-            failure(disk.f_flag & os.ST_RDONLY, f"{mount} is mounted read-only: {_NOT_KEPT}",
-                    f"see why (dmesg), then: sudo mount -o remount,rw {mount}"),
-            failure(free_mb < _LEAST_FREE_MB or inodes < _LEAST_INODES, f"{mount} has {free_mb} MB free, and room for "
-                    f"{inodes} files: {_NOT_KEPT}", f"find what fills it (sudo du -xh {mount} | sort -h | tail; with "
-                    "--inodes: most files); to shorten the journal: sudo journalctl --vacuum-size=50M"))
+            failure(disk.f_flag & os.ST_RDONLY, f"{mount} is mounted read-only: {result}",
+                    f"dmesg shows why; then: sudo mount -o remount,rw {mount}"),
+            failure(full, f"{mount} has {free_mb} MB free, and room for {inodes} files: {result}",
+                    "delete what fills it (with du --inodes: most files), and restart; this lists it and shortens the "
+                    f"journal: sudo du -xh {mount} | sort -h | tail; sudo journalctl --vacuum-size=50M"))
 
 
 def private_keys(robot: CheckedRobot) -> Iterator[Result | None]:

@@ -5,6 +5,7 @@ import errno
 import json
 import logging
 import os
+import socket
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -14,7 +15,7 @@ import zenoh
 
 from gateway import certs
 from gateway.certs import access, revocation
-from gateway.endpoints import host_and_port
+from gateway.endpoints import host_and_port, ip_of
 from gateway.errors import ConfigError
 from gateway.host import effective
 from gateway.host.directories import state_to_read
@@ -32,9 +33,10 @@ from gateway.onboard.check.table import (
 )
 from gateway.robot.zenoh_io import exposure
 from gateway.robot.zenoh_io.session import bind_fault, is_late, service_config
-from gateway.zenoh_config import CA, TLS, certificate_files, get, listen_endpoints
+from gateway.zenoh_config import CA, TLS, certificate_files, connect_endpoints, get, listen_endpoints
 
 DENIED: Final = os.strerror(errno.EACCES)
+_IPV6: Final = 6
 _NO_LIST: Final = "there is no list: nobody is shut out. To send one: hexapod-gateway certs revoke --dir DIR"
 
 logging.getLogger("gateway").addHandler(logging.NullHandler())  # what `service_config` warns of is a line here
@@ -57,11 +59,16 @@ def certificates(robot: CheckedRobot, now: dt.datetime | None = None) -> Iterato
     for each in map(certs.folder.describe, certificate_files(config)):
         soon = certs.expires_soon(str(each.path), each.not_after, now)
         renew = f"{certs.how_to_renew(each.path.name, each.role, each.name)}, then: {RESTART}"
+        own = socket.gethostname().partition(".")[0]
+        foreign = bool(each.hosts) and not any(map(_is_own, each.hosts))
         yield first("certificates",
             failure(now < each.not_before, f"{each.path} is valid only from {each.not_before:%Y-%m-%d}",
                     "set the clock (timedatectl)"),
             failure(each.not_after <= now, f"{soon}: nobody can connect", renew),
             warning(soon, str(soon), renew),
+            warning(foreign, f"{each.path} is for {', '.join(each.hosts)}, and this robot is {own}: laptops reach it "
+                    "by none of these names", "where ca.key is: hexapod-gateway certs renew gateway --dir DIR --host "
+                    f"{own}.local, and copy {each.path.name} here, then: {RESTART}"),
             well(f"{each.path} is good until {each.not_after:%Y-%m-%d}"))
     parts = ("certificate", "private_key")
     pairs = {tuple(get(config, f"{TLS}/{side}_{part}") for part in parts): side for side in ("connect", "listen")}
@@ -73,6 +80,14 @@ def certificates(robot: CheckedRobot, now: dt.datetime | None = None) -> Iterato
                 failure(fault, f"{fault}: nobody can connect", f"copy gateway.json5 and {ca.name}, {certificate.name}, "
                         f"{key.name} from one folder of certificates (where ca.key is) to FOLDER here, then: "
                         "sudo hexapod-gateway setup --certs FOLDER"))
+
+
+def _is_own(host: str) -> bool:
+    """Return whether a certificate's host is an address or a name of this machine, in any domain."""
+    address = ip_of(f"tcp/{host}:0")
+    if address is not None:
+        return bind_fault(f"tcp/{f'[{host}]' if address.version == _IPV6 else host}:0") is None
+    return host.partition(".")[0].lower() in (socket.gethostname().partition(".")[0].lower(), "localhost")
 
 
 def revoked(robot: CheckedRobot) -> Iterator[Result | None]:
@@ -116,16 +131,20 @@ def network(robot: CheckedRobot) -> Iterator[Result | None]:
         wanted = json.loads(json.dumps([access.rule(each, namespace) for each in access.TRAFFIC]))
         lost = ", ".join(each["id"] for each in wanted if each != rules.get(each["id"]) or each["id"] not in listed)
         yield first("access control",
-            warning(lost, f"{settings.config} silently drops messages: {lost}", "sudo hexapod-gateway setup; an edited "
-                    "file: compare it with one of hexapod-gateway certs init --host HOST --dir NEW"),
+            warning(lost, f"{settings.config} silently drops messages: {lost}", "compare an edited file with one of "
+                    "hexapod-gateway certs init --host HOST --dir NEW; for another: sudo hexapod-gateway setup"),
             well("lets all of this gateway's keys through"))
-    yield from (port(robot, each) for each in listen_endpoints(config))
-    if not listen_endpoints(config):
+    endpoints, dials = listen_endpoints(config), connect_endpoints(config)
+    nowhere = not dials and all((fault := bind_fault(each)) is not None and is_late(fault) for each in endpoints)
+    yield from (port(robot, each, nowhere=nowhere) for each in endpoints)
+    if not endpoints:
         yield first("port", well("none: the gateway does not listen, and dials others"))
 
 
-def port(robot: CheckedRobot, endpoint: str, setting: str = "zenoh.listen") -> Result | None:
-    """Return whether the service can listen on `endpoint`, or a gateway does already."""
+def port(
+    robot: CheckedRobot, endpoint: str, setting: str = "zenoh.listen", *, nowhere: bool = False
+) -> Result | None:
+    """Return whether the service can listen on `endpoint`, or a gateway does already; `nowhere`: on none of all."""
     fault = bind_fault(endpoint)
     taken, why = fault is not None and fault.errno == errno.EADDRINUSE, fault and fault.strerror
     holders = robot.open_files.listeners(endpoint) if taken else []
@@ -136,6 +155,9 @@ def port(robot: CheckedRobot, endpoint: str, setting: str = "zenoh.listen") -> R
         well(f"{endpoint} is in use by the running gateway") if ours else None,
         failure(taken, f"{endpoint} is held by another program",
                 f"set another {setting}; this names the program: sudo hexapod-gateway check"),
+        failure(nowhere, f"{endpoint} is not there ({why}), nor any other endpoint: the service runs, and nobody can "
+                f"reach it", f"set {setting} to addresses that this machine has, such as tcp/127.0.0.1:7447 "
+                f"(ip address lists them), then: {RESTART}"),
         warning(fault and is_late(fault), f"{endpoint} is not there yet ({why}): the service keeps trying, and listens "
                 "on the others", f"see the addresses of this machine (ip address), or set another {setting}"),
         failure(fault, f"{endpoint} cannot be listened on: {why}",

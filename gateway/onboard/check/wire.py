@@ -19,7 +19,7 @@ from gateway.host.directories import state_to_read
 from gateway.model.elkapod import FRAME_BYTES
 from gateway.model.frames import ONE_LEG_LEN, Framing
 from gateway.onboard import computer
-from gateway.onboard.check.table import RESTART, CheckedRobot, Result, Row, failure, first, held, warning, well
+from gateway.onboard.check.table import RESTART, SERVICE, CheckedRobot, Result, Row, failure, first, held, warning, well
 from gateway.own_command import command
 from gateway.robot.power.interface import BITRATE, open_bus
 from gateway.robot.runtime.calibrations import CALIBRATION_FILE, load
@@ -34,6 +34,10 @@ _SLOW_MS: Final = 20.0
 """Six Stops should not take longer than the shortest watchdog timeout, nor an 80-byte frame than its cycle."""
 _ALLOWED: Final = "ttyAMA"
 """The unit's DeviceAllow=: the kernel's name of a Raspberry Pi's PL011 UARTs."""
+_DROP_INS: Final = f"/etc/systemd/system/{SERVICE}.service.d"
+_READERS: Final = ("ModemManager", "brltty")
+_IGNORED: Final = "E:ID_MM_DEVICE_IGNORE=1"
+"""In udev's data of a device: ModemManager leaves it alone (deploy/udev)."""
 _CAN: Final = "280"
 """ARPHRD_CAN, in /sys/class/net/…/type."""
 
@@ -78,6 +82,20 @@ def _opened(
         well(f"{what} {opens}"))
 
 
+def _other_readers(robot: CheckedRobot, path: str) -> Result | None:
+    """Return a warning of a program that reads from each serial device that appears, and so takes its first answers."""
+    with suppress(OSError):
+        number = os.stat(path).st_rdev
+        data = robot.text(f"/run/udev/data/c{os.major(number)}:{os.minor(number)}")
+        ignored = {"ModemManager"} if _IGNORED in data.splitlines() else set[str]()
+        active = {each for each in _READERS if robot.shown(f"{each}.service").get("ActiveState") == "active"}
+        programs = " ".join(sorted(active - ignored))
+        return first("serial",
+            warning(programs, f"{programs} may read from {path} whenever it appears; the gateway then misses answers, "
+                    "and stops legs", f"if nothing else needs it: sudo systemctl disable --now {programs}"))
+    return None
+
+
 # ---- SPI, or a plug-in
 
 
@@ -96,7 +114,7 @@ def spi_bus(robot: CheckedRobot) -> Iterator[Result | None]:
     if protocol is None:
         return
     others = ", ".join(sorted(map(str, Path(spi.device).parent.glob("spidev*"))))
-    absent = "switch SPI on and reboot: sudo hexapod-gateway setup; without a robot: run --sim"
+    absent = "without a robot: run --sim; else switch SPI on and reboot: sudo hexapod-gateway setup"
     rows = _node_faults(robot, spi.device, "spi", f"set spi.device; this machine has {others}" if others else absent)
     device = partial(KernelDevice, spi.device, spi.speed_hz, mode=protocol.spi_mode)
     with suppress(OSError):  # it does not open, which the line reports
@@ -112,7 +130,7 @@ def spi_bus(robot: CheckedRobot) -> Iterator[Result | None]:
     yield first("SPI controller",
         warning(loses, f"{found}: a kernel of {built or 'an unknown time'}. Before February 2025 this driver lost "
                 "clock edges of transfers that only send; then the controller receives nothing until it is reset",
-                "update the kernel (sudo apt full-upgrade) and reboot"),
+                "update the kernel: sudo apt update && sudo apt full-upgrade && sudo reboot"),
         well(found))
     others = ", ".join(f"{each} (driver {driver})" for each, driver in computer.neighbours(spi.device, root))
     yield first("SPI bus",  # a neighbour's transfer of 2 ms is what docs/safety.md allows
@@ -175,15 +193,17 @@ def uart(robot: CheckedRobot) -> Iterator[Result | None]:
     console = name in robot.text("/sys/class/tty/console/active").split()
     login = robot.shown(f"serial-getty@{name}.service").get("ActiveState") == "active"
     rows = [
-        *_node_faults(robot, path, "dialout", f"switch it on and reboot: {setup}; or set controller.uart; here there "
-                      f"is {here}"),
+        *_node_faults(robot, path, "dialout", f"set controller.uart (here there is {here}), or switch it on and "
+                      f"reboot: {setup}"),
         failure(console or login, f"{path} has Linux's console or a login, which disturb the controller",
                 f"free it, and reboot: {setup}"),
     ]
     yield _opened(robot, "UART", path, lambda: SerialUart(path).close(), f"is {path} a UART? see dmesg",
         warning(robot.service and not name.startswith(_ALLOWED), f"{path} opens, but the unit lets the service open "
-                f"{_ALLOWED}… only", "sudo systemctl edit hexapod-gateway, with [Service] "
-                f"DeviceAllow=char-{name.rstrip('0123456789')} rw"), rows=rows)
+                f"{_ALLOWED}… only", f"sudo mkdir -p {_DROP_INS} && sudo tee {_DROP_INS}/uart.conf <<<$"
+                f"'[Service]\\nDeviceAllow=char-{name.rstrip('0123456789')} rw' && sudo systemctl daemon-reload && "
+                f"{RESTART}"), rows=rows)
+    yield _other_readers(robot, path)
 
 
 # ---- the power board
@@ -196,13 +216,14 @@ def power(robot: CheckedRobot) -> Iterator[Result | None]:
         return
     if settings.interface == "slcan":
         rows = _node_faults(robot, path, "dialout", absent)
+        yield _other_readers(robot, path)
     elif settings.interface == "socketcan":  # everybody may use it, but only root can switch it on
         kind, flags = (robot.text(f"/sys/class/net/{path}/{each}") for each in ("type", "flags"))
         rows = [
             failure(kind != _CAN, f"{path} is no CAN interface", absent),
             failure(not int(flags or "0", 16) & 1, f"{path} is switched off",  # now and at each boot
-                    f"printf '[Match]\\nName={path}\\n[CAN]\\nBitRate={BITRATE}\\nRestartSec=100ms\\n' | sudo tee "
-                    f"/etc/systemd/network/80-{path}.network && sudo systemctl enable systemd-networkd && "
+                    f"sudo tee /etc/systemd/network/80-{path}.network <<<$'[Match]\\nName={path}\\n[CAN]\\nBitRate="
+                    f"{BITRATE}\\nRestartSec=100ms' && sudo systemctl enable systemd-networkd && "
                     "sudo systemctl restart systemd-networkd"),
         ]
     elif settings.interface == "sim":

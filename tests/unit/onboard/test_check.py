@@ -222,6 +222,16 @@ def dated(days_left: int, *lines: str) -> Scene:
     return Scene("certificates", plant, *lines, probes=(read,))
 
 
+def named(host: str) -> Callable[[Path], CheckedRobot]:
+    """A robot whose certificate is for this host."""
+
+    def plant(root: Path) -> CheckedRobot:
+        certs.folder.init(root / "D", [host])
+        return robot(root, zenoh={"config": str(root / "D" / "gateway.json5")})
+
+    return plant
+
+
 def unit(**properties: str) -> Callable[[Path], CheckedRobot]:
     """What systemd shows of an installed unit."""
     return but(Installed, unit={**UP, **properties})
@@ -382,7 +392,7 @@ SCENES = (
     Scene(UNIT, unit(UnitFileState="disabled"), "warning … → sudo systemctl enable --now hexapod-gateway"),
     Scene(UNIT, unit(ActiveState="failed", Result="exit-code"),
           "failure … has failed (exit-code) → journalctl -u … sudo systemctl reset-failed"),
-    Scene(UNIT, unit(LoadState="not-found"), "warning … is not installed … → sudo apt install"),
+    Scene(UNIT, unit(LoadState="not-found"), "warning … is not installed … with it: sudo apt install"),
     Scene(UNIT, unit(LoadState="bad-setting"), "failure … cannot be loaded (bad-setting)"),
     Scene("user", here(), "failure user: there is no user hexapod-gateway, so … sudo systemd-sysusers"),
     Scene("user", served(here()), *("failure user: there is no group",) * 3, patch={"grp.getgrall": list}),
@@ -393,6 +403,8 @@ SCENES = (
           ({"f_flag": os.ST_RDONLY}, ["/mnt is mounted read-only … sudo mount -o remount,rw /mnt"]),
           ({"f_bavail": 3 << 10}, ["failure disk: /mnt has 3 MB free … sudo journalctl --vacuum-size=50M"]),
           ({"f_favail": 9}, ["failure disk: /mnt has … and room for 9 files … sudo du -xh /mnt"]))),
+    *(Scene("disk", here(), *lines, patch={**disk(f_bavail=free_kb), MOUNT: lambda _: ("/run", "tmpfs")})
+      for free_kb, lines in ((1 << 10, ()), (900, ["failure disk: /run has 0 MB free … the service cannot start → "]))),
     Scene("Wi-Fi", files({"sys/class/net/wlan0/phy80211/x": ""}), "warning Wi-Fi: wlan0 saves power … sudo tee",
           patch={"fcntl.ioctl": lambda *_: None}),
     Scene("processor", files({f"{CPU}governor": "powersave", f"{CPU}driver": "cpufreq-dt"}),
@@ -402,8 +414,8 @@ SCENES = (
     Scene("supply", files({"sys/class/hwmon/hwmon1/name": "rpi_volt\n", "sys/class/hwmon/hwmon1/in0_lcrit_alarm":
                            "1\n"}), "warning supply: this Raspberry Pi's supply voltage is low"),
     Scene("supply", files({"sys/class/hwmon/hwmon1/name": "rpi_volt", "sys/class/hwmon/hwmon1/in0_lcrit_alarm": "0"})),
-    Scene("SPI device", here(spi={"device": "/bin/sh"}), "failure … /bin/sh is no device node → switch SPI on"),
-    Scene("SPI device", here(spi={"device": "/dev/none"}), "/dev/none: No such file or directory → switch SPI"),
+    Scene("SPI device", here(spi={"device": "/bin/sh"}), "failure … /bin/sh is no device node → … switch SPI on"),
+    Scene("SPI device", here(spi={"device": "/dev/none"}), "/dev/none: No such file … → without … switch SPI"),
     Scene("SPI device", served(here(**NODE)), "may not be opened … → sudo chgrp spi /dev/null && sudo chmod",
           patch=DENIED),
     Scene("SPI device", here(**NODE), "→ until the next boot: sudo chown", patch=DENIED),
@@ -461,7 +473,7 @@ SCENES = (
     Scene("framing", here(wire={"name": "elkapod-2025"})),
     Scene("SPI lists", here(wire={"name": "elkapod-2025"})),
     Scene("UART", here()),
-    Scene("UART", uart("/none/ttyAMA1"), ": No such file or directory → switch it on and reboot: sudo"),
+    Scene("UART", uart("/none/ttyAMA1"), ": No such file … → set controller.uart … switch it on and reboot: sudo"),
     Scene("UART", uart("/bin/sh"), "failure UART: /bin/sh is no device node"),
     Scene("UART", NULL, "failure UART: the UART /dev/null cannot be opened"),
     Scene("UART", served(NULL), "→ sudo chgrp dialout /dev/null", patch=DENIED),
@@ -473,8 +485,18 @@ SCENES = (
     Scene("UART", NULL, "failure UART: /dev/null is held by x (process 7, x.service)",
           patch={**held_by(X), SERIAL: BUSY}),
     Scene("UART", served(uart("/dev/full")), "warning UART: /dev/full opens, but the unit lets the service open "
-          "ttyAMA… only → sudo systemctl edit hexapod-gateway, with [Service] DeviceAllow=char-full rw",
+          "ttyAMA… only → … sudo tee /etc/systemd/system/hexapod-gateway.service.d/uart.conf <<<$'[Service]\\n"
+          "DeviceAllow=char-full rw' && sudo systemctl daemon-reload",
           patch={SERIAL: lambda _: Opened()}),
+    *(Scene("serial", but(files({"run/udev/data/c1:3": data}, **where),
+                          shown=lambda unit, on=on: {"ActiveState": "active" if unit[:-8] in on else ""}), *lines)
+      for where in (dict[str, Any](power={"interface": "slcan", "channel": "/dev/null"}),
+                    dict[str, Any](wire={"name": "elkapod-2025"}, controller={"uart": "/dev/null"}))
+      for data, on, lines in (
+          ("", "ModemManager brltty", ["warning serial: ModemManager brltty may read from /dev/null … sudo systemctl "
+                                       "disable --now ModemManager brltty"]),
+          ("I:1\nE:ID_MM_DEVICE_IGNORE=1\n", "ModemManager brltty", ["serial: brltty may read … --now brltty"]),
+          ("E:ID_MM_DEVICE_IGNORE=1\n", "ModemManager", []), ("", "", []))),
     Scene("calibration", here(), "ok calibration: is kept in memory only"),
     Scene("calibration", kept(RobotCalibration()), "ok calibration: revision 0, servos that differ: 0 ("),
     Scene("calibration", kept(RobotCalibration(3, {11: ServoMapping(5_00)})), "revision 3, servos that differ: 1 ("),
@@ -521,10 +543,15 @@ SCENES = (
     Scene("port", listens("tcp/192.0.2.1:7447", "tcp/h:99999"),
           "warning port: tcp/192.0.2.1:7447 is not there yet (Cannot assign requested address): the service keeps",
           "failure port: tcp/h:99999 cannot be listened on: ports end at 65535 → set another zenoh.listen"),
+    Scene("port", listens("tcp/192.0.2.1:7447", "tcp/198.51.100.7:7447"), *(f"failure port: {each} is not there … nor "
+          "any … nobody can reach it → set zenoh.listen" for each in ("tcp/192.0.2.1:7447", "tcp/198.51.100.7:7447"))),
+    *(Scene("certificates", named(host), "ok", line, patch={"socket.gethostname": lambda: "Robot.lan"})
+      for host, line in (("robot.local", "ok"), ("192.0.2.1", "warning … is for 192.0.2.1, and this robot is Robot: "),
+                         ("old.local", "warning … --dir DIR --host Robot.local, and copy gateway.pem here"))),
     Scene("access control", access(str), "ok access control: lets all"),
     Scene("access control", access(lambda text: text.replace(f', "{CALIBRATION}"', "")), "warning access control … "
-          "drops messages: watching, telemetry, asking for reports, reports as an answer → sudo hexapod-gateway "
-          "setup"),
+          "drops messages: watching, telemetry, asking for reports, reports as an answer → … sudo "
+          "hexapod-gateway setup"),
     Scene("access control", access(lambda text: text.replace('["commands",', "[")), "drops messages: commands →"),
     Scene("access control", access(lambda text: text.replace('"put", "delete", "query"]', '"put", "query"]', 1)),
           "silently drops messages: commands →"),
@@ -534,6 +561,16 @@ SCENES = (
 )
 # fmt: on
 IDS = [f"{each.name}: {(*each.lines, 'nothing')[0]}" for each in SCENES]
+
+
+def is_pasted(fix: str) -> None:
+    """Whether a remedy's text from its first `sudo` on is shell alone."""
+    if found := re.search(r"\bsudo .*", fix):
+        bare = re.sub(r"\$?'[^']*'", "X", found[0])
+        assert not set("()[]`").intersection(bare), fix
+        for each in re.split(r" *(?:;|&&|\|\||\|) *", bare):
+            assert each.split()[0] in ("sudo", "sort", "tail"), fix
+            assert not re.search(r",( |$)| (or|then|and|with|if)( |:|$)", each), fix
 
 
 @pytest.mark.parametrize("planted", SCENES, ids=IDS)
@@ -554,6 +591,7 @@ def test_what_is_planted_is_a_line(planted: Scene, tmp_path: Path, monkeypatch: 
     for each in lines:
         assert (each.verdict is Verdict.OK) is (each.fix == ""), each
         parse_commands(each.fix)
+        is_pasted(each.fix)
 
 
 @pytest.mark.parametrize(("plant", "sentence"), PLANTED, ids=[sentence for _, sentence in PLANTED])
@@ -570,6 +608,7 @@ def test_each_fault_of_an_installation_is_one_line(
     lines = [each for each in found if each.name != "user" and "which a boot empties" not in each.sentence]
     assert len(lines) == bool(sentence), lines
     for line in lines:
+        is_pasted(line.fix)
         assert sentence in line.sentence
         assert "sudo " in line.fix or "systemctl cat" in line.fix
 
