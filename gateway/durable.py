@@ -29,7 +29,9 @@ def replacing(path: Path, staged: Path | None = None) -> Iterator[Path]:
         yield staged
         staged.replace(path)
         sync(path.parent)
-    except BaseException:
+    except BaseException as error:
+        if isinstance(error, OSError):
+            error.filename = error.filename or str(path)  # a full disk is found by a call that knows no name
         with suppress(OSError):
             staged.unlink()
         raise

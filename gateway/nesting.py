@@ -6,6 +6,7 @@ Zenoh's parser of JSON5 ends the process by SIGSEGV for 100 000 brackets. Python
 
 import re
 import tomllib
+from contextlib import suppress
 from typing import Any, Final
 
 from gateway.text import decimal_comma
@@ -17,6 +18,7 @@ MOST_BYTES: Final = 1_000_000
 MOST_DOTS: Final = 1000
 """Most parts of a key in TOML; such a key takes 50 ms."""
 
+NO_TEXT: Final = "is no text in UTF-8: saved in another encoding (UTF-16), or damaged by a power cut"
 _TOO_DEEP: Final = f"nests deeper than {MOST_LEVELS} levels"
 _APART: Final = re.compile(
     rb'"(?:[^"\\]|\\.?)*+(?:"|\Z)'  # text and comments, perhaps without an end: brackets in them do not count
@@ -44,11 +46,13 @@ def read_toml(data: bytes) -> dict[str, Any]:
     _check_size(data)
     if any(line.count(b".") > MOST_DOTS for line in data.splitlines()):
         raise ValueError(f"has a line with more than {MOST_DOTS} dots")
+    if b"\0" in data or not _is_utf_8(data):
+        raise ValueError(NO_TEXT)
     try:
         values = tomllib.loads(data.decode("utf-8-sig"))
     except RecursionError:
         raise ValueError(_TOO_DEEP) from None
-    except ValueError as error:  # TOML's own errors, and bytes that are no UTF-8
+    except ValueError as error:
         cause = decimal_comma(data.decode(errors="replace"))
         raise ValueError(f"is not TOML: {cause or error}") from error
     level: list[Any] = [values]
@@ -58,6 +62,13 @@ def read_toml(data: bytes) -> dict[str, Any]:
     if level:
         raise ValueError(_TOO_DEEP)
     return values
+
+
+def _is_utf_8(data: bytes) -> bool:
+    with suppress(UnicodeDecodeError):
+        data.decode()
+        return True
+    return False
 
 
 def _check_size(data: bytes) -> None:

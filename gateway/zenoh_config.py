@@ -29,6 +29,7 @@ _FILES = (
     "transport/auth/pubkey/known_keys_file",
 )
 
+_MOST_CHARACTERS: Final = 300
 RETRY: Final = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5}
 """Pauses with which a client reconnected after 0.35 s; with Zenoh's own it took 1 to 2 s."""
 
@@ -135,8 +136,9 @@ connect_endpoints: Final = partial(_endpoints, "connect")
 
 
 def one_line(error: BaseException) -> str:
-    """Return Zenoh's reason without its source position."""
-    return " ".join(str(error).split()).partition(" at /")[0]
+    """Return Zenoh's reason without its source position, and without the file, which it may quote whole."""
+    said = " ".join(str(error).split()).partition(" at /")[0]
+    return said if len(said) <= _MOST_CHARACTERS else f"{said[:_MOST_CHARACTERS]}…"
 
 
 def insert(config: zenoh.Config, key: str, value: object, setting: str) -> None:
@@ -178,6 +180,8 @@ def why_not_opened(text: str, endpoints: list[str]) -> str:
         return f"{where} is taken by another program (perhaps another gateway); stop it, or set another zenoh.listen"
     if "Cannot assign requested address" in text:
         return f"{where} is no address of this machine; set another zenoh.listen"
+    if "KeyMismatch" in text:
+        return "the Zenoh file names a private key that is not its certificate's: sudo hexapod-gateway check names both"
     if CANNOT_CONNECT in text:
         return f"no gateway answers on {where}; is it running, and does it know your certificate?"
     return f"Zenoh cannot be opened on {where}: {text}"

@@ -10,6 +10,7 @@ import re
 import stat
 import zipfile
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -238,6 +239,19 @@ def mismatch(ca: Path, certificate: Path, key: Path, *, of_robot: bool = True) -
         (of_robot and role != GATEWAY, f"{name} is of {role}, not of a robot"),
     )
     return f"in {certificate.parent}, {fault}" if fault else ""
+
+
+def contradiction(ca: Path, certificate: Path, key: Path) -> str:
+    """Return why a TLS server cannot use these files; "": it may. An authority of another name may have signed by one
+    between, and a key of another kind is not judged. Raises ConfigError."""
+    own, name = read_certificate(certificate), certificate.name
+    namesakes = [each for each in files.read_certificates(ca) if each.subject == own.issuer]
+    with suppress(ConfigError):
+        if files.read_key(key).public_key() != own.public_key():
+            return f"in {certificate.parent}, {key.name} is not the key of {name}"
+    if namesakes and not any(is_issued(own, each) for each in namesakes):
+        return f"in {certificate.parent}, {name} is of another authority than {ca.name}, which has the same name"
+    return ""
 
 
 def load_ca(directory: Path, name: str = CA) -> KeyPair:

@@ -6,6 +6,7 @@ from typing import Annotated, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
+from gateway import durable
 from gateway.errors import ConfigError
 from schemas.robot import LEGS, SERVO_IDS
 
@@ -122,12 +123,12 @@ def load(path: Path | None = None) -> Geometry:
     """Return the geometry in `path` (default: ELKAPOD). Raises ConfigError with a line for each of up to 10 faults."""
     found = path or ELKAPOD
     try:
-        with found.open("rb") as file:
-            data = file.read(MAX_FILE_BYTES + 1)
-    except OSError as error:
-        raise ConfigError(f"{found}: cannot be read ({error.strerror}); name a geometry file (JSON)") from error
-    if len(data) > MAX_FILE_BYTES:
-        raise ConfigError(f"{found}: has more than {MAX_FILE_BYTES} bytes, so it is no geometry file")
+        data = durable.read(found, MAX_FILE_BYTES)  # not from a FIFO, for whose writer it would wait
+    except (OSError, ValueError) as error:
+        why = error.strerror if isinstance(error, OSError) else error
+        raise ConfigError(f"{found}: cannot be read ({why}); name a geometry file (JSON)") from error
+    if data is None:
+        raise ConfigError(f"{found}: there is no such file; name a geometry file (JSON)")
     try:
         return Geometry.model_validate_json(data)
     except ValidationError as error:

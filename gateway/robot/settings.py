@@ -114,9 +114,14 @@ SIMULATED_BOARD: Final = (
 _STAGGER: Final = ("limits", "start_stagger_ms")
 
 
-def _raise(lines: Sequence[str]) -> None:
+_MOST_FAULTS: Final = 20
+"""In a file of another kind each line may be a fault; `check` took 15 s to print 50 000."""
+
+
+def _raise(lines: Sequence[str], kind: type[ConfigError] = ConfigError) -> None:
     if lines:
-        raise ConfigError("\n".join(lines))
+        more = [f"and {len(lines) - _MOST_FAULTS} more faults"] if len(lines) > _MOST_FAULTS else []
+        raise kind("\n".join([*lines[:_MOST_FAULTS], *more]))
 
 
 class FramingNotSetError(ConfigError):
@@ -181,8 +186,8 @@ _WHICH_FRAMING: Final = (
 
 def _require_framing(path: Path | None, wire: settings_table.WireSettings, spi: object, lines: list[str]) -> None:
     if wire.framed and isinstance(spi, Mapping) and not {"framing", "protocol"} & spi.keys():
-        lines += [f"{path or CONFIGURATION}: spi.framing: {sentence}" for sentence in _WHICH_FRAMING]
-        raise FramingNotSetError("\n".join(lines))
+        which = [f"{path or CONFIGURATION}: spi.framing: {sentence}" for sentence in _WHICH_FRAMING]
+        _raise([*lines[: _MOST_FAULTS - len(which)], *which], FramingNotSetError)
 
 
 def overrides(variables: Mapping[str, str]) -> dict[str, str]:

@@ -41,10 +41,10 @@ def changed(change: Callable[[dict[str, Any]], object]) -> str:
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        (None, "No such file"),
+        (None, "there is no such file"),
         ("{", "Invalid JSON"),
         ("[" * 100_000, "Invalid JSON"),
-        (" " * (MAX_FILE_BYTES + 1), "it is no geometry file"),
+        (" " * (MAX_FILE_BYTES + 1), "is larger than"),
         (changed(lambda it: it["servos"].update({"77": it["servos"]["11"]})), "no servo has the id: 77"),
         (changed(lambda it: it["leg_mounts"].pop("6")), "six legs"),
         (changed(lambda it: it["leg_mounts"]["1"].update(xyz_m=[178, 132, -30])), "leg_mounts.1.xyz_m.0"),

@@ -14,7 +14,9 @@ from contextlib import ExitStack, suppress
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
+from typing import Final
 
+from gateway import nesting
 from gateway.errors import ConfigError, ZenohError
 from gateway.host import effective
 from gateway.host.directories import CONFIGURATION
@@ -47,6 +49,9 @@ def check(config: Path | None, *, as_json: bool = False) -> int:
     clear_line()
     _go_on_as_the_service(robot)
     return report(run(config, robot, seen), "run the service", as_json=as_json)
+
+
+_ASKS: Final = "to be asked which framing the controller needs: sudo hexapod-gateway setup"
 
 
 def _go_on_as_the_service(robot: CheckedRobot) -> None:
@@ -89,22 +94,25 @@ def run(config: Path | None, robot: CheckedRobot, seen: Sequence[Result]) -> Ite
 
     While the service runs and `config` is None, check its device with the settings in use. Raises FramingNotSetError.
     """
-    path, faults = config or CONFIGURATION, list[str]()
+    path, faults, unset = config or CONFIGURATION, list[str](), False
     used = effective.running() if config is None else None
     in_unit = used is not None and "HEXAPOD_SPI__FRAMING" in robot.unit.get("Environment", "").upper()
     try:
         robot.settings = settings_file.load(config, simulated=in_unit)
     except ConfigError as error:
-        if isinstance(error, FramingNotSetError) and used is None:  # else it runs, and would not start again
-            raise
-        faults = str(error).splitlines()
+        faults, unset = str(error).splitlines(), isinstance(error, FramingNotSetError)
+        if unset and used is None:  # else it runs, and would not start again
+            asks = f"\n{_ASKS}" if robot.unit.get("LoadState") == "loaded" else ""
+            raise FramingNotSetError(f"{error}{asks}") from None
         if security.DENIED in faults[0] and os.geteuid() not in (0, robot.service and robot.service[0]):
             unread = f"{path} is not for you to read, as it may name keys: sudo hexapod-gateway check"
             raise ConfigError(unread) from None
     yield from seen
     for fault in faults:
         later = "fix it there, and check again: device, ports and certificates are checked after that"
-        fix = table.LET_READ if security.DENIED in fault else later
+        fix = table.LET_READ if security.DENIED in fault else _ASKS if unset and "spi.framing: " in fault else later
+        if nesting.NO_TEXT in fault:
+            fix = f"put a copy of it there, or begin anew: sudo mv {path} {path}.bad; sudo hexapod-gateway setup"
         yield Result("configuration", Verdict.FAILURE, fault, fix)
     if not faults:
         where = str(path) if path.exists() else f"the defaults, since there is no {path}"

@@ -102,11 +102,9 @@ def _change(machine: Machine, file: str, text: str, what: str) -> None:
     def write() -> None:
         # The boot partition has no owners, and the file must never be half-written: write a copy, then rename it.
         path = machine.path(file)
-        staged = path.with_name(f"{path.name}.new")
-        staged.write_bytes(text.encode(errors="surrogateescape"))
-        durable.sync(staged)
-        staged.replace(path)
-        durable.sync(path.parent)
+        with durable.replacing(path, path.with_name(f"{path.name}.new")) as staged:
+            staged.write_bytes(text.encode(errors="surrogateescape"))
+            durable.sync(staged)
 
     machine.change(f"{what} in {file}: a reboot is due", write)
     machine.reboot_due = True

@@ -65,9 +65,10 @@ def read(machine: Machine) -> Configuration:
     """Return the robot's configuration; the template if there is none. Raises ConfigError."""
     data = machine.read(FILE) or machine.read(TEMPLATE) or shipped("gateway.toml")
     try:
-        return Configuration(data.decode("utf-8-sig"), nesting.read_toml(data))
+        tables = nesting.read_toml(data)
     except ValueError as error:
-        raise ConfigError(f"{FILE} {error}; fix it there") from error
+        raise ConfigError(f"{FILE} {error}; fix it there, or begin anew: sudo mv {FILE} {FILE}.bad") from error
+    return Configuration(data.decode("utf-8-sig"), tables)
 
 
 def state_wire(machine: Machine, wire: str | None, framing: str | None) -> Configuration:

@@ -7,6 +7,7 @@ from typing import Any, Final
 
 from pydantic import ValidationError
 
+from gateway import durable
 from gateway.errors import ConfigError, GatewayError, LeaseError, UnansweredError
 from gateway.model.calibration import AS_DRAWN, RobotCalibration, ServoMapping, calibration_of, changed_servos
 from gateway.model.frames import centidegrees
@@ -64,12 +65,13 @@ def import_file(connect: Connection, file: Path, *, agreed: bool) -> int:
 def _read(file: Path) -> str:
     """Return the text of a file, or of stdin (`-`). Raises ConfigError if it is unreadable or too long."""
     try:
-        with sys.stdin.buffer if str(file) == "-" else file.open("rb") as stream:
-            text = stream.read(_MOST_BYTES + 1)
+        text = sys.stdin.buffer.read(_MOST_BYTES + 1) if str(file) == "-" else durable.read(file, _MOST_BYTES)
+        if text is None:
+            raise ConfigError(f"{file} cannot be read: there is no such file")
         if len(text) > _MOST_BYTES:
             raise ConfigError(f"{file} is larger than {_MOST_BYTES} bytes: it is no calibration")
         return text.decode()
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, ValueError) as error:  # also a FIFO, for whose writer it would wait
         why = error.strerror if isinstance(error, OSError) else error
         raise ConfigError(f"{file} cannot be read: {why}") from error
 

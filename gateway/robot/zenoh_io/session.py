@@ -24,12 +24,14 @@ import zenoh
 
 from gateway import certs
 from gateway.endpoints import host_and_port
-from gateway.errors import GatewayError, ZenohError
+from gateway.errors import ConfigError, GatewayError, ZenohError
 from gateway.host.realtime import PAGE_PRIORITY, prefer_thread
 from gateway.host.settings_table import DEFAULT_LISTEN, ZenohSettings
 from gateway.limits import ACCEPT_PENDING, ACCEPT_TIMEOUT_MS, MAX_MESSAGE_SIZE, MAX_SESSIONS
 from gateway.robot.zenoh_io import exposure
 from gateway.zenoh_config import (
+    CA,
+    TLS,
     connect_endpoints,
     first_expiry,
     get,
@@ -63,6 +65,8 @@ RUNTIME: Final = f"(rx:(worker_threads:{MAX_SESSIONS}))"
 """A receiving thread for each session, in Zenoh's notation, so that no session waits for another. By default two
 threads serve all sessions. A session that floods occupies one for 20 000 messages and more, and on a wildcard each
 message goes into 26 rings; an emergency stop waited for that."""
+_MOST_ENDPOINTS: Final = 64
+"""More than any machine has addresses. `check` tried 8000 one by one in 15 s."""
 _RUNTIME_VARIABLE: Final = "ZENOH_RUNTIME"
 
 PERIOD_S: Final = 1.0
@@ -106,6 +110,9 @@ def service_config(settings: ZenohSettings) -> zenoh.Config:
     file_sets = get(config, "listen/endpoints") != get(zenoh.Config(), "listen/endpoints")  # Zenoh's is not empty
     if settings.listen is not DEFAULT_LISTEN or not file_sets:
         insert(config, "listen/endpoints", list(settings.listen), "zenoh.listen")
+    if (count := len(listen_endpoints(config))) > _MOST_ENDPOINTS:
+        fix = f"at most {_MOST_ENDPOINTS} are allowed; tls/0.0.0.0:7447 is all of IPv4"
+        raise ConfigError(f"{settings.config or 'zenoh.listen'} lists {count} endpoints to listen on: {fix}")
     scouting_and_shared_memory_off(config)
     # Otherwise a gateway without its listener would start without an error but could not be reached.
     config.insert_json5("listen/exit_on_failure", "true")
@@ -144,8 +151,9 @@ class Upkeep:
     def open(self) -> zenoh.Session:
         """Return a session that listens on the existing addresses now and on the others later. Blocks.
 
-        Raises ZenohError if a port is taken or Zenoh does not open.
+        Raises ZenohError if a port is taken or Zenoh does not open, and ConfigError for a key or CA of another set.
         """
+        _check_pair(self._config)
         endpoints = listen_endpoints(self._config)
         faults = {each: fault for each in endpoints if (fault := bind_fault(each)) is not None}
         if not any(map(is_late, faults.values())):
@@ -224,6 +232,13 @@ class Upkeep:
         if first is not None and soon is not None:
             result = "then nobody can connect" if now < first.end else "nobody can connect (is this clock right?)"
             yield f"{soon}: {result}; `sudo hexapod-gateway check` shows how to renew it, then restart the service"
+
+
+def _check_pair(config: zenoh.Config) -> None:
+    """Raise ConfigError if key, certificate and CA contradict each other: Zenoh names no file, or accepts that."""
+    names = [get(config, name) for name in (CA, f"{TLS}/listen_certificate", f"{TLS}/listen_private_key")]
+    if all(names) and (fault := certs.folder.contradiction(*map(Path, names))):
+        raise ConfigError(f"{fault}, so nobody can connect: sudo hexapod-gateway check shows what to copy")
 
 
 def _ports(endpoints: list[str]) -> set[str]:
