@@ -20,8 +20,6 @@ class Capabilities(NamedTuple):
 
     whole_robot: bool = False
     """Whether only all servos together can be started and stopped."""
-    measures: bool = False
-    """The wire returns telemetry, which shows whether the controller is alive."""
     acknowledges: bool = False
     """`apply` returns only after the controller has confirmed the frame."""
 

@@ -139,6 +139,11 @@ class WireSettings(Section):
         return self.built_in is not None and not self.framed
 
     @property
+    def measures(self) -> bool:
+        """Whether the controller returns telemetry, by its UART. A plug-in has no way to hand measurements over."""
+        return self.has_uart
+
+    @property
     def capabilities(self) -> Capabilities:
         """The wire's capabilities; the default ones if a plug-in cannot be loaded."""
         if self.built_in is not None:

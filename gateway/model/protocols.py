@@ -15,7 +15,7 @@ class SpiProtocol(enum.StrEnum):
     @property
     def capabilities(self) -> Capabilities:
         """The capabilities of the wire."""
-        return Capabilities() if self is FRAMED else Capabilities(whole_robot=True, measures=True)
+        return Capabilities(whole_robot=self is not FRAMED)
 
     @property
     def words(self) -> str:

@@ -46,14 +46,9 @@ class Settings(settings_table.Section):
         return self.wire.capabilities.whole_robot and not singly
 
     @property
-    def wire_measures(self) -> bool:
-        """Whether measurements come over the wire. A plug-in has no way to pass them on."""
-        return self.wire.built_in is not None and self.wire.capabilities.measures
-
-    @property
     def measures(self) -> bool:
         """Whether the wire or a power board measures anything for telemetry."""
-        return self.wire.capabilities.measures or bool(self.power.interface)
+        return self.wire.measures or bool(self.power.interface)
 
     @property
     def protocol(self) -> str:
@@ -98,7 +93,7 @@ class Settings(settings_table.Section):
             yield _STAGGER, f"a leg's start may not wait for as long as {longest}"
         for each in fields(self.safety):
             by_board = each.name == "min_battery_v" and self.power.interface
-            if getattr(self.safety, each.name) and not (self.wire_measures or by_board):
+            if getattr(self.safety, each.name) and not (self.wire.measures or by_board):
                 yield ("safety", each.name), f"{wire} has nothing that measures it; leave it at 0"
         for servo, angle_deg in self.watchdog.landing.items():
             limits = self.limits.servos.get(servo, settings_table.ServoLimits())

@@ -59,14 +59,7 @@ _STATE_TRIES: Final = 3
 """Attempts to get a state and its configuration, which may change between the two."""
 
 
-class _Brief(type):
-    """Limits `help(Client)` to the methods for a first program. The class's text names the others."""
-
-    def __dir__(cls) -> list[str]:
-        return ["state", "wait_ready", "stream", "walk", "start_legs", "set_legs", "stop", "estop", "reset"]
-
-
-class Client(metaclass=_Brief):
+class Client:
     """A connection to one gateway. For any thread; close it, or use it in a `with`.
 
     >>> POSE = dict.fromkeys(range(1, 7), (90, 45, 120))        # leg → degrees of its joints 1, 2, 3
@@ -77,8 +70,6 @@ class Client(metaclass=_Brief):
     Starts and sets raise RejectedError (`check=False`: return the Ack), stops return their Ack. All raise
     DisconnectedError without an answer, and OutOfRangeError, a RejectedError, for a leg or angle that no robot has.
     The watchdog stops a leg after 250 ms without a command: `stream` and `walk` send in time.
-    More, by `help(Client.lease)`: lease, ask_for_lease, button, start_leg, set_leg, servo, calibration, calibrate,
-    revocation, telemetry, on_state, on_event, on_frame, on_telemetry, publish, ask, answerers, connected.
     """
 
     def __init__(

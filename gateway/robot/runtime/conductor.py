@@ -198,7 +198,7 @@ class Conductor:
             if self.supply.judge_currents(self.clock()):
                 self._power_changed_soon(())
             battery_mv = self.supply.battery_mv
-            if battery_mv is not None and self.supervisor.body.watches and not self.settings.wire_measures:
+            if battery_mv is not None and self.supervisor.body.watches and not self.settings.wire.measures:
                 self._step(BodyMeasured(None, battery_mv))
         silent = self.bus.silent(self.clock())  # here, too: a transfer that hangs keeps the cycle from this check
         if silent is not None:

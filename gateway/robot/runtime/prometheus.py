@@ -100,7 +100,7 @@ class Numbers(Collector):
         if settings.measures:
             battery = reports.battery()
             yield _gauge("battery_volts", "The battery's voltage", None if battery is None else battery.voltage_v)
-        if settings.wire.capabilities.measures:
+        if settings.wire.measures:
             yield from _measured(conductor)
         power = reports.power()
         if power is not None:

@@ -113,7 +113,9 @@ class RobotReports:
             {"leg_rate_hz": limits.leg_rate_hz, "max_age_ms": limits.max_age_ms, "servos": each}
         )
         can = wire.capabilities._replace(whole_robot=self.settings.starts_whole)
-        self._wire = telemetry.WireReport(name=wire.name, supply_starts=wire.has_uart, **can._asdict())
+        self._wire = telemetry.WireReport(
+            name=wire.name, measures=wire.measures, supply_starts=wire.has_uart, **can._asdict()
+        )
         self.certificate: telemetry.CertificateReport | None = None
         """The certificate in use that expires first, or None."""
         self.missing_endpoints: tuple[str, ...] = ()

@@ -18,15 +18,13 @@ from gateway.model.frames import stop_leg
 from gateway.robot.settings import Settings
 from gateway.robot.spi import Wire
 from gateway.robot.spi.plugin import plugin_bus
-from gateway.wire import GROUP, Capabilities, ServoWire
+from gateway.wire import GROUP, ServoWire
 from schemas import keys
 from tests.support.robot import Robot, leg
 
 
 class Exits(ServoWire):
-    """Ends the process in place of raising, and says that it measures."""
-
-    capabilities = Capabilities(measures=True)
+    """Ends the process in place of raising."""
 
     stopped: ClassVar[set[int]] = set()
 
@@ -135,7 +133,7 @@ def test_one_that_exits_where_it_is_made_is_a_sentence() -> None:
 def test_a_limit_on_what_a_plugin_cannot_hand_over_is_not_accepted() -> None:
     with pytest.raises(ConfigError, match=r"safety\.max_tilt_deg: exits has nothing that measures it"):
         Settings.of({"wire": {"name": "exits"}, "safety": {"max_tilt_deg": 45}})
-    assert Settings.of({"wire": {"name": "exits"}}).wire.capabilities.measures
+    assert not Settings.of({"wire": {"name": "exits"}}).measures
 
 
 def test_one_that_another_gateway_has_is_not_even_closed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
