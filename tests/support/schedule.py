@@ -1,9 +1,6 @@
 """Which tests run when, and which on one worker of `pytest -n`, one after the other.
 
-Three tiers, named by what they need. A test without a mark needs Python and a shell: `make test` runs it. `full` needs
-root or Debian's packages, or searches: `make test-all`. `nightly` takes long: `make nightly`. A tier is a mark at the
-test or its file (`pytestmark`), or is its folder's: FOLDERS. Marks also say how a test runs: `alone`, `attended`,
-`searches`.
+CONTRIBUTING.md explains the tiers. FOLDERS has the marks of whole folders: a tier, or how its tests run.
 """
 
 import os
