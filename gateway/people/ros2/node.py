@@ -1,8 +1,9 @@
 """The bridge's node in a ROS 2 graph: by rclpy, over whatever RMW is set (FastDDS, CycloneDDS, Zenoh, …).
 
 A thread waits for each subscription and each service. So a flood on one topic delays no other, and a service that waits
-delays no emergency stop: an executor of rclpy would call one after the other. Its lifecycle, its parameters and the
-action have an executor, since a transition may wait until the robot sits.
+delays no emergency stop. rclpy's MultiThreadedExecutor with a callback group for each does this, too, in 40 lines less,
+but at 45 joint commands a second the process then used 15 % of a core, not 9 %. Only the lifecycle and the parameters
+have an executor, since a transition may wait until the robot sits.
 """
 
 import logging
@@ -43,8 +44,8 @@ SIMULATED: Final = "use_sim_time is set, and the time of a robot is real"
 
 _JOIN_S: Final = 1.0
 _SPIN_S: Final = 0.5
-_THREADS: Final = 4
-"""Threads of the executor: a goal that is followed keeps one, a transition another."""
+_THREADS: Final = 2
+"""Threads of the executor: a transition that waits keeps one."""
 _GID_BYTES: Final = 16
 """Bytes of a GID that count; before Jazzy there are 24."""
 _REQUESTS: Final = 16
