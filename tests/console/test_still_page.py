@@ -12,6 +12,8 @@ pytestmark = [pytest.mark.browser, pytest.mark.nightly]
 
 HELD: Final = ((320, 568), (568, 320), (360, 640), (640, 360), (390, 844), (844, 390), (768, 1024), (1024, 768))
 DESKS: Final = ((1280, 800), (1440, 900))
+SMALL: Final = ((390, 400), (360, 320), (320, 200), (500, 270))
+"""Half of a split screen, and phones with a keyboard open."""
 HEAR: Final = """
 const listen = WebSocket.prototype.addEventListener;
 WebSocket.prototype.addEventListener = function (name, heard, ...more) {
@@ -20,7 +22,7 @@ WebSocket.prototype.addEventListener = function (name, heard, ...more) {
   listen.call(this, name, (event) => {
     if (window.situation) return;
     const message = JSON.parse(event.data);
-    if (message.type === "state") window.newest = message;
+    if (message.type === "state") [window.newest, window.newestMs] = [message, performance.now()];
     heard(event);
   }, ...more);
 };
@@ -37,7 +39,8 @@ SHOW: Final = """([messages, state]) => {
   const LINES = ".facts div, dt, dd, #robot, #said, #stop-known, #stop-known *, #walk-known, #quality, #quality *";
   const { newest } = window;
   for (const message of messages) hear(message);
-  hear({ ...newest, now: state.now ?? newest.now, state: { ...newest.state, ...state } });
+  const uptime_s = newest.state.uptime_s + (performance.now() - newestMs) / 1000; // it is fresh
+  hear({ ...newest, now: state.now ?? newest.now, state: { ...newest.state, uptime_s, ...state } });
   refresh();
   const boxes = {};
   for (const each of document.querySelectorAll("header *, #stop, #stop *, #said, .see, #picture, .walk, .walk *")) {
@@ -232,6 +235,54 @@ def test_nothing_on_the_driving_page_shifts_is_covered_cut_off_or_out_of_a_thumb
         found += page.page.evaluate(HANDS)
         found += [] if page.page.evaluate(ENDLESS) else ["what was said covers more than the picture"]
     assert not found, "\n".join(found)
+
+
+OVERLAPS: Final = """() => {
+  const faults = [];
+  const box = (each) => each.getBoundingClientRect();
+  const named = (each) => each.id || each.textContent.trim();
+  const controls = [...document.querySelectorAll("button, .segments label, .stick")].filter(
+    (each) => each.checkVisibility({ visibilityProperty: true }) && !each.closest(".rest, dialog"));
+  controls.forEach((one, index) => {
+    const a = box(one);
+    if (a.left < 0 || a.top < 0 || a.right > innerWidth || a.bottom > innerHeight) faults.push(`${named(one)} is cut`);
+    for (const other of controls.slice(index + 1)) {
+      const b = box(other);
+      const across = Math.min(a.right, b.right) - Math.max(a.left, b.left);
+      const down = Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top);
+      if (across > 1 && down > 1) faults.push(`${named(one)} and ${named(other)} overlap`);
+    }
+  });
+  const badges = controls.filter((each) => each.matches(".label"));
+  if (badges.length !== 6) faults.push(`${badges.length} badges of legs`);
+  for (const each of badges) {
+    const small = parseFloat(getComputedStyle(each).fontSize) < 10 || box(each).width < 24;
+    if (small) faults.push(`badge ${named(each)} is small`);
+  }
+  const stopped = document.body.querySelector("#reset").checkVisibility();
+  for (const id of stopped ? ["stop-all", "reset"] : ["stop-all"]) {
+    const { left, top, width, height } = box(document.getElementById(id));
+    const hit = document.elementFromPoint(left + width / 2, top + height / 2);
+    if (width < 44 || height < 43.5 || !hit?.closest(`#${id}`)) faults.push(`${id} cannot be tapped`);
+  }
+  return faults;
+}"""
+"""Controls that are over another or cut, badges that nobody can read, and whether STOP ALL and Reset can be tapped."""
+
+
+@pytest.mark.parametrize("size", [*SMALL, *HELD, *DESKS], ids=lambda size: f"{size[0]}x{size[1]}")
+def test_no_control_is_over_another_or_cut_and_stop_all_can_be_tapped(size: tuple[int, int], visitor: Visitor) -> None:
+    width, height = size
+    held = size not in DESKS
+    page = visitor.open(script=HEAR, viewport={"width": width, "height": height}, has_touch=held, is_mobile=held)
+    found = list[str]()
+    for name, shown in situations("root").items():
+        page.page.evaluate(SHOW, shown)
+        for more in ("no", "yes") if page["more"].is_visible() else ("no",):
+            page.page.evaluate("(more) => { document.body.dataset.more = more; }", more)
+            found += [f"{name}, more {more}: {fault}" for fault in page.page.evaluate(OVERLAPS)]
+        page.page.evaluate("document.body.dataset.more = 'no'")
+    assert not found, "\n".join(found[:20])
 
 
 def faults(page: Opened) -> list[str]:

@@ -107,7 +107,8 @@ export class Picture {
     const height = this.place.clientHeight;
     for (const [leg, label] of this.labels) {
       const [x, y] = this.view.labelAt(leg);
-      const left = Math.min(width - 48, Math.max(48, x));
+      const half = label.offsetWidth / 2 + 1;
+      const left = Math.min(width - half, Math.max(half, x));
       const top = Math.min(height - 16, Math.max(16, y));
       label.style.transform = `translate(-50%, -50%) translate(${left.toFixed(0)}px, ${top.toFixed(0)}px)`;
     }
