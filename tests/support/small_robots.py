@@ -414,15 +414,20 @@ CONFIGURATIONS: Final = (
     Configuration(
         "two servos of a leg, of which one waits for its supply while the other is taken over",
         _rules(
-            takeover_cdeg_s=180_00 * NS_PER_S // (6 * TICK), takeover_known_ns=2 * TICK, power=True, feed_ns=4 * TICK
+            timeout_ns=3 * TICK,
+            period_ns=TICK,
+            takeover_cdeg_s=180_00 * NS_PER_S // (2 * TICK),
+            takeover_known_ns=2 * TICK,
+            power=True,
+            feed_ns=2 * TICK,
         ),
         (
             ("leg", ((11, ServoOp(Op.START, 0)), (12, ServoOp(Op.START, 0)))),
             ("servo", _each(STOP, 11)),
             ("servo anna's", ((11, ServoOp(Op.START, 90_00)),)),
-            ("servo anna's", ((12, ServoOp(Op.SET, 90_00)),)),
         ),
         boards=(_FED,),
+        waits_ns=(TICK,),
     ),
     Configuration(
         "one servo, taken over, and landing",
