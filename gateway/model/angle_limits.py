@@ -39,7 +39,7 @@ class AngleLimits:
         """Converts frames for the wire; None: they need no conversion."""
         self.limited = bool(self.of_settings or calibration.servos or self.avoid_cdeg)
         """Whether `why_not` may reject any angle."""
-        self._free_cdeg = {servo_id: self._free(servo_id) for servo_id in SERVO_IDS}
+        self.free_cdeg = {servo_id: self._free(servo_id) for servo_id in SERVO_IDS}
 
     def _free(self, servo_id: int) -> tuple[int, int]:
         """Return a range of a servo's users' angles that are all allowed: most setpoints need no other check."""
@@ -50,7 +50,7 @@ class AngleLimits:
 
     def why_not(self, servo_id: int, angle_cdeg: int) -> str | None:
         """Return why the servo must not go to this user's angle (hundredths of a degree), or None if it may."""
-        free = self._free_cdeg[servo_id]
+        free = self.free_cdeg[servo_id]
         if free[0] <= angle_cdeg <= free[1]:
             return None
         limits = self.of_settings.get(servo_id)

@@ -29,8 +29,8 @@ from gateway.model.frames import centidegrees
 from gateway.robot import wires
 from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.backlog import START_WAIT_NS
-from gateway.robot.core.leg import Rules
 from gateway.robot.core.message import Reply
+from gateway.robot.core.rules import Rules
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.host import stop_note
 from gateway.robot.host.disk import StateFolder, report_mistake

@@ -11,13 +11,16 @@ from typing import Final, NamedTuple
 import pytest
 
 from gateway.geometry import Geometry, load
+from gateway.model.angle_limits import AngleLimits
 from gateway.people.physics.assumed import Assumed
 from gateway.people.physics.world import TIMESTEP_S, World
 from gateway.people.walking.engine import Engine
 from gateway.people.walking.gaits import GAITS
 from gateway.people.walking.motion import Velocity
 from gateway.people.walking.robot import Robot
-from gateway.robot.core.landing import Landing
+from gateway.robot.core.pace import Paces
+from gateway.robot.core.rules import Rules
+from gateway.robot.core.servo import RUNNING, Servo
 from gateway.robot.settings import Settings
 from schemas.robot import SERVO_IDS
 from tests.walking import physics
@@ -104,17 +107,16 @@ def landed(begin: Mapping[int, float], settings: Settings) -> Iterator[physics.S
     length_ns = round(settings.watchdog.landing_ms * 1e6)
     period_ns = round(_NS / settings.limits.leg_rate_hz)
     ends = {int(name): angle_deg for name, angle_deg in settings.watchdog.landing.items()}
-    ways_cdeg = {
-        servo_id: (round(100 * angle_deg), round(100 * ends.get(servo_id, angle_deg)))
-        for servo_id, angle_deg in begin.items()
-    }
-    way = Landing(began_ns, began_ns + length_ns, length_ns - 2 * period_ns, period_ns, ways_cdeg)
-    now_ns, part_ns = began_ns, 0
-    while now_ns < way.ends_ns and part_ns < way.length_ns:
-        part_ns = way.next_part_ns(part_ns, now_ns)
-        yield now_ns / _NS, {servo_id: way.angle_cdeg(servo_id, part_ns) / 100 for servo_id in ways_cdeg}
-        now_ns += period_ns
-    yield way.ends_ns / _NS, SLACK
+    pace = Paces(Rules(period_ns=period_ns, landing_ns=length_ns), AngleLimits())
+    servos = [Servo(servo_id, RUNNING, round(100 * angle_deg)) for servo_id, angle_deg in begin.items()]
+    for servo in servos:
+        pace.land(servo, round(100 * ends.get(servo.servo_id, begin[servo.servo_id])), began_ns)
+    for now_ns in range(began_ns, began_ns + length_ns, period_ns):
+        yield (
+            now_ns / _NS,
+            {each.servo_id: pace.step(each, now_ns, 0, lands=True).angle_cdeg / 100 for each in servos if each.target},
+        )
+    yield (began_ns + length_ns) / _NS, SLACK
 
 
 WEAK: Final = "servos of 1.4 N·m"

@@ -99,39 +99,36 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
     "gateway/robot/core/legs.py": (
         ByHand(
             "an older start of the same instant overtakes the Stop, where time passes in it",
-            "            servo.note_stop(command.channel, self.instant_ns)\n            self._stopped(servo, now_ns)\n",
-            "            servo.note_stop(command.channel, now_ns)\n            self._stopped(servo, now_ns)\n",
-        ),
-        ByHand(
-            "an older start overtakes a Stop that came with moves, where time passes in an instant",
-            "            if op.op is OP_STOP:\n                servo.note_stop(command.channel, self.instant_ns)\n",
-            "            if op.op is OP_STOP:\n                servo.note_stop(command.channel, now_ns)\n",
+            "servo.note_stop(command.channel, self.instant_ns)",
+            "servo.note_stop(command.channel, now_ns)",
         ),
         ByHand(
             "a start of the same instant undoes the watchdog's Stop, where time passes in it",
-            "            servo.note_stop(cause, self.instant_ns)\n            self._stopped(servo, now_ns)\n",
-            "            servo.note_stop(cause, now_ns)\n            self._stopped(servo, now_ns)\n",
+            "servo.note_stop(cause, self.instant_ns)",
+            "servo.note_stop(cause, now_ns)",
         ),
-        ByHand("the oldest angle of a start counts", "newest = STARTS[op.angle_cdeg]", "newest = servo.waiting"),
         ByHand("what was rejected for one leg still moves another", "in self.servos.values():  #", "in servos:  #"),
         ByHand(
+            "a servo goes on to where a rejected command has sent it",
+            "            if servo.target is not None and servo.command in rejected:",
+            "            if servo.pending and servo.command in rejected:",
+        ),
+    ),
+    "gateway/robot/core/servo.py": (
+        ByHand("the oldest angle of a start counts", "STARTS[op.angle_cdeg] if", "(self.target or op) if"),
+    ),
+    "gateway/robot/core/stops.py": (
+        ByHand(
             "late repeats are made up in a burst",
-            "            servo.repeat_ns = now_ns + self._rules.repeat_interval_ns\n        self.stopping",
-            "            servo.repeat_ns += self._rules.repeat_interval_ns\n        self.stopping",
+            "            repeats.due_ns = now_ns + self._rules.repeat_interval_ns\n        self.sent",
+            "            repeats.due_ns += self._rules.repeat_interval_ns\n        self.sent",
         ),
         ByHand(
             "a Stop moves a repeat that is owed to a later time",
-            "        if not servo.repeats_left:  #",
-            "        if True:  #",
+            "            if not repeats.left:\n",
+            "            if True:\n",
         ),
-        ByHand(
-            "a servo goes on to where a rejected command has sent it",
-            "            if servo.waiting is not None and servo.waiting_for in rejected:",
-            "            if servo.pending and servo.waiting_for in rejected:",
-        ),
-    ),
-    "gateway/robot/core/rest.py": (
-        ByHand("a Stop at rest moves the runs that are owed", "        elif self.due_ns is None:\n", "        else:\n"),
+        ByHand("a Stop at rest moves the runs that are owed", "elif self._round_ns is None:\n", "else:\n"),
         ByHand(
             "no runs follow the last Stop",
             "self._runs_left, self._settled_ns = self.runs, ",
@@ -146,9 +143,6 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
             "now_ns >= self._until_ns.get(command.key, now_ns)",
             "command.key not in self._until_ns",
         ),
-    ),
-    "gateway/robot/core/leg.py": (
-        ByHand("the last comes first: the others may wait for ever", "legs.append(leg)", "legs.insert(0, leg)"),
     ),
 }
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Self
 
 from gateway.robot.core.events import Command
-from gateway.robot.core.leg import Rules
+from gateway.robot.core.rules import Rules
 
 
 @dataclass(slots=True)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 from gateway.allowance import NS_PER_MS
 from gateway.robot.core.events import ButtonRequest, Effect
-from gateway.robot.core.leg import Rules
+from gateway.robot.core.rules import Rules
 from schemas.telemetry import Kind, Reason
 from tests.support.history import announced, demand, judge_answer
 

@@ -11,7 +11,7 @@ from typing import NamedTuple, Self
 from gateway.model.calibration import RobotCalibration
 from gateway.model.frames import Frame, OneLeg, OneServo, Op, ServoOp
 from gateway.robot.core.events import Calibrate, CalibrationSaved, Effect, SaveCalibration, Transmit
-from gateway.robot.core.leg import Rules
+from gateway.robot.core.rules import Rules
 from schemas.calibration import ServoChange
 from schemas.telemetry import Kind, Reason
 from tests.support.history import demand, is_announced, spelled_out

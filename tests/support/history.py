@@ -1,13 +1,13 @@
 """What a judge of the supervisor remembers of servos and legs; see `oracle.py`."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeVar
 
 from gateway.allowance import NS_PER_S
 from gateway.model.frames import Op, ServoOp
 from gateway.robot.core import events
-from gateway.robot.core.leg import Rules
+from gateway.robot.core.rules import Rules
 from schemas.telemetry import Kind, Mode, Reason
 
 CLOSED = {Mode.STOPPING: Reason.STOPPING, Mode.BUS_FAULT: Reason.BUS_FAULT, Mode.ESTOPPED: Reason.ESTOPPED}
@@ -114,6 +114,19 @@ class Want(NamedTuple):
     number: int
     from_cdeg: int | None = None
     """Of a start: the angle at which it begins, as known when it was first asked for; None: at its newest target."""
+
+
+def numbered(effect: events.Effect) -> object:
+    """An effect with the numbers of requests in place of these."""
+    match effect:
+        case events.Transmit():
+            numbers = [[each.number for each in named] for named in (effect.commands, effect.done)]
+            return replace(effect, commands=(), done=()), numbers
+        case events.Completed():
+            return effect.request.number, is_coalesced(effect.request)
+        case events.Rejected():
+            return effect.request.number, effect.reason, effect.detail
+    return effect
 
 
 def speed_age_ns(since_ns: int, now_ns: int, rules: Rules) -> int | None:

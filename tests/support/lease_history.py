@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from gateway.robot.core.events import Effect, LeaseRequest
-from gateway.robot.core.leg import Rules
+from gateway.robot.core.rules import Rules
 from schemas.telemetry import Kind, Reason
 from tests.support.history import announced, demand, judge_answer
 

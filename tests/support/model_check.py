@@ -36,20 +36,23 @@ from gateway.robot.core.events import (
     ShutDown,
     TimePassed,
 )
+from gateway.robot.core.gates.every import Gates
+from gateway.robot.core.gates.rate import RateSlots
 from gateway.robot.core.interlock import Interlock
 from gateway.robot.core.lease import RobotLease
-from gateway.robot.core.leg import Leg, RateSlots, Rules, Servo, StartQueue
+from gateway.robot.core.leg import Leg
 from gateway.robot.core.legs import Legs
-from gateway.robot.core.rest import RestStops
+from gateway.robot.core.rules import Rules
+from gateway.robot.core.servo import Servo
+from gateway.robot.core.stops import Repeats, StopSchedule
 from gateway.robot.core.supervisor import Supervisor
 from schemas.calibration import CalibrationCommand
 from schemas.telemetry import Kind, Mode, Reason
 from tests.support.backlog_history import backlog_key
 from tests.support.buttons_history import ButtonsHistory
 from tests.support.calibration_history import CalibrationHistory
-from tests.support.history import STOP_SERVOS, Violation, cloned, demand, speed_age_ns
+from tests.support.history import STOP_SERVOS, Violation, cloned, demand, numbered, speed_age_ns
 from tests.support.lease_history import LeaseHistory
-from tests.support.motion import landing_key
 from tests.support.oracle import Oracle
 from tests.support.small_robots import Configuration
 from tests.support.transitions import TRANSITIONS
@@ -74,6 +77,7 @@ _KNOWN: Final = (
         "_rules legs lease buttons body power backlog calibrating _opened _fault latch _ended outside watchdog",
     ),
     (_ROBOT, "_interlocks _own mode due_ns"),
+    (_ROBOT, "usual_ns _has_usual"),  # `both_ways` shows that they change nothing
     (_ROBOT.outside, "_rules _legs"),
     (_ROBOT.watchdog, "_rules _legs expirations"),
     (_ROBOT.latch, "_rules _legs number since_ns unknown"),
@@ -83,18 +87,21 @@ _KNOWN: Final = (
     (_ROBOT.power, "_rules _legs alive closed _refused"),
     (_ROBOT.backlog, "_rules _legs _most _came_ns _until_ns held"),
     (Registration, "name holder counts count until_ns silent offset_ns newest_ns least_ns"),
-    (_ROBOT.legs.limits, "of_settings pose_of_settings avoid_cdeg calibration wire limited _free_cdeg"),
+    (_ROBOT.legs.limits, "of_settings pose_of_settings avoid_cdeg calibration wire limited free_cdeg"),
     (_ROBOT.calibrating, "_rules _legs _limits fault saving"),
-    (_ROBOT.legs, "_rules limits by_number _all servos _queue instant_ns landing land_ns"),
-    (_ROBOT.legs, "_speeds rest sends"),
-    (_ROBOT.legs.rest, "_rules _settled_ns _runs_left runs due_ns"),
-    (_ROBOT.legs, "due_ns repeat_ns at_rest"),  # these follow from the others: `take` sees to that
-    (_ROBOT.legs, "stopping _silent _first_stops fed"),  # these count within a step
-    (Leg, "number servos slots commanded_ns expired source landed_ns unfed_ns eases"),
-    (Servo, "servo_id angle_cdeg waiting waiting_for begun from_cdeg since_ns passing_cdeg"),
-    (Servo, "repeats_left repeat_ns stopped_ns stopped_by source eases stopped"),
+    (_ROBOT.legs, "_rules limits by_number _all servos gates _pace stops sends instant_ns landing_ends_ns"),
+    (_ROBOT.legs, "due_ns at_rest"),  # these follow from the others: `take` sees to that
+    (_ROBOT.legs.gates, "supply stagger _gates"),
+    (_ROBOT.legs.gates.supply, "_legs fed"),
+    (_ROBOT.legs.gates.stagger, "pause_ns next_ns"),
+    (_ROBOT.legs.stops, "_rules _legs _repeats _round_ns _settled_ns _runs_left runs"),
+    (_ROBOT.legs.stops, "due_ns"),  # follows from the others
+    (_ROBOT.legs.stops, "sent silent _first"),  # these count within a step
+    (Repeats, "left due_ns"),
+    (Leg, "number servos slots commanded_ns expired source unfed_ns"),
+    (Servo, "servo_id life angle_cdeg target command begun from_cdeg pace_cdeg_s since_ns passing_cdeg"),
+    (Servo, "source known stopped_ns stopped_by"),
     (RateSlots, "period_ns oldest_ns next_ns taken_ns"),
-    (StartQueue, "pause_ns next_ns legs"),
     (
         Command,
         "targets key source sent_ms lease reply verb received_ns number lost rejected moves by_leg",
@@ -122,6 +129,11 @@ _slots_fields = _getter(RateSlots)
 def _with_legs(legs: Legs, by_number: dict[int, Leg]) -> None:
     legs.by_number, legs._all = by_number, tuple(by_number.values())
     legs.servos = {servo.servo_id: servo for leg in by_number.values() for servo in leg.servos}
+    supply, stagger = legs.gates.supply, legs.gates.stagger
+    legs.gates = Gates(legs._rules, by_number)
+    legs.gates.supply.fed, legs.gates.stagger.next_ns = supply.fed, stagger.next_ns
+    repeats = {servo_id: replace(legs.stops._repeats[servo_id]) for servo_id in legs.servos}
+    legs.stops = cloned(legs.stops, _legs=legs._all, _repeats=repeats)
 
 
 def small(supervisor: Supervisor, legs: Iterable[int]) -> Supervisor:
@@ -132,19 +144,19 @@ def small(supervisor: Supervisor, legs: Iterable[int]) -> Supervisor:
 
 def pending(supervisor: Supervisor) -> dict[int, Command]:
     """The commands that servos wait for, by their numbers, in order."""
-    waiting = [servo.waiting_for for servo in supervisor.legs.servos.values() if servo.pending]
+    waiting = [servo.command for servo in supervisor.legs.servos.values() if servo.pending]
     return {command.number: command for command in sorted(waiting, key=attrgetter("number"))}
 
 
 def _copied_servo(servo: Servo, commands: dict[int, Command]) -> Servo:
     """A copy that waits for the copy of its command, of which each servo has the same."""
     other = type(servo)(*_servo_fields(servo))
-    if servo.waiting is not None:
-        command = servo.waiting_for
+    if servo.target is not None:
+        command = servo.command
         if command.number not in commands:
             commands[command.number] = replace(command)
             commands[command.number].left = command.left
-        other.waiting_for = commands[command.number]
+        other.command = commands[command.number]
     return other
 
 
@@ -160,7 +172,7 @@ def _copied_interlocks(supervisor: Supervisor, legs: Legs) -> Iterator[Interlock
 
 def copied(supervisor: Supervisor) -> Supervisor:
     """A copy that shares nothing that changes; copy.deepcopy takes fifty times as long."""
-    legs = cloned(supervisor.legs, rest=cloned(supervisor.legs.rest))
+    legs = cloned(supervisor.legs)
     by_number: dict[int, Leg] = {}
     commands: dict[int, Command] = {}
     for number, leg in supervisor.legs.by_number.items():
@@ -172,18 +184,21 @@ def copied(supervisor: Supervisor) -> Supervisor:
     other = cloned(supervisor, legs=legs)
     other.connect(_copied_interlocks(supervisor, legs))
     legs.limits = other.calibrating._limits = cloned(supervisor.legs.limits)
-    legs._speeds = cloned(supervisor.legs._speeds, _limits=legs.limits)
-    backlog, queue = supervisor.backlog, supervisor.legs._queue
+    legs._pace = cloned(supervisor.legs._pace, _limits=legs.limits)
+    backlog = supervisor.backlog
     came_ns, until_ns = dict(backlog._came_ns), dict(backlog._until_ns)
     other.backlog = cloned(backlog, _legs=legs, _came_ns=came_ns, _until_ns=until_ns, held=dict(backlog.held))
-    legs._queue = type(queue)(queue.pause_ns, queue.next_ns, list(queue.legs))
     return other
 
 
-def _rest_key(rest: RestStops, now_ns: int) -> tuple[object, ...]:
+def _round_key(stops: StopSchedule, now_ns: int) -> tuple[object, ...]:
     """When the next Stops to legs at rest come, and how many runs are left, from when on."""
-    due_ns = None if rest.due_ns is None else max(0, rest.due_ns - now_ns)
-    return due_ns, rest._runs_left, rest._runs_left and max(0, rest._settled_ns - now_ns)
+    due_ns = None if stops._round_ns is None else max(0, stops._round_ns - now_ns)
+    return due_ns, stops._runs_left, stops._runs_left and max(0, stops._settled_ns - now_ns)
+
+
+def _repeats_key(repeats: Repeats, now_ns: int) -> object:
+    return repeats.left and (repeats.left, max(0, repeats.due_ns - now_ns))
 
 
 def _lease_key(lease: RobotLease, now_ns: int) -> tuple[object, ...]:
@@ -243,11 +258,11 @@ def _calibrating_key(supervisor: Supervisor) -> tuple[object, ...]:
 def _takeover_key(legs: Legs, servo: Servo, now_ns: int) -> tuple[object, ...]:
     """Whose servo it is, and where it stands while it does not run, as long as that counts."""
     stood = None
-    if servo.stopped is not None and not servo.running:
-        angle_cdeg, stopped_ns, calibration = servo.stopped
+    if servo.known is not None and not servo.running:
+        angle_cdeg, stopped_ns, calibration = servo.known
         if calibration is legs.limits.calibration and now_ns - stopped_ns <= legs._rules.takeover_known_ns:
             stood = angle_cdeg, now_ns - stopped_ns
-    return servo.source, servo.eases, stood
+    return servo.source, stood
 
 
 def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[object, ...]:
@@ -256,7 +271,7 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
     Left out: counters; times of things that are over; how long ago, where longer makes no difference.
     """
     legs, power, due_ns = supervisor.legs, supervisor.power, supervisor.due_ns
-    queue = legs._queue
+    stagger = legs.gates.stagger
     latched_ns, oldest_ns = supervisor.latch.since_ns, legs._rules.unnumbered_reset_ns
     return (
         supervisor.mode,
@@ -270,15 +285,15 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
         # How old it is for a reset of this instant, and of one that begins now.
         latched_ns and (min(legs.instant_ns - latched_ns, oldest_ns), min(now_ns - latched_ns, oldest_ns)),
         due_ns and max(0, due_ns - now_ns),
-        legs.sends and _rest_key(legs.rest, now_ns),
+        legs.sends and _round_key(legs.stops, now_ns),
         _lease_key(supervisor.lease, now_ns),
         _buttons_key(supervisor.buttons, now_ns),
         _body_key(supervisor, now_ns),
-        (power.alive, power.closed, tuple(power._refused), legs.fed),
+        (power.alive, power.closed, tuple(power._refused), legs.gates.supply.fed),
         _backlog_key(supervisor, now_ns),
         _calibrating_key(supervisor),
-        legs.landing and (*landing_key(legs.landing, now_ns), legs.land_ns - now_ns),
-        (tuple(queue.legs), max(0, queue.next_ns - now_ns)) if queue.pause_ns else None,
+        legs.landing_ends_ns and legs.landing_ends_ns - now_ns,
+        stagger.pause_ns and max(0, stagger.next_ns - now_ns),
         tuple((rank[number], each.left, each.coalesced) for number, each in pending(supervisor).items()),
         tuple(
             (
@@ -287,20 +302,21 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
                 else None,
                 leg.expired,
                 leg.unfed_ns is not None and now_ns - leg.unfed_ns,
-                legs.landing and leg.landed_ns,
                 max(leg.slots.oldest_ns - now_ns, -2 * leg.slots.period_ns),  # then the bucket is full
                 max(leg.slots.next_ns - now_ns, 0),
-                legs._rules.takeover_cdeg_s and (leg.eases, speed_age_ns(leg.slots.taken_ns, now_ns, legs._rules)),
+                legs._rules.takeover_cdeg_s and speed_age_ns(leg.slots.taken_ns, now_ns, legs._rules),
                 tuple(
                     (
                         servo.angle_cdeg,
-                        servo.waiting and (servo.waiting, servo.begun, rank.get(servo.waiting_for.number)),
+                        servo.life,
+                        servo.target and (servo.target, servo.begun, rank.get(servo.command.number)),
+                        servo.pace_cdeg_s,
                         servo.from_cdeg,
                         servo.passing_cdeg,
                         speed_age_ns(servo.since_ns, now_ns, legs._rules) if servo.running else None,
                         legs._rules.takeover_cdeg_s and _takeover_key(legs, servo, now_ns),
                         # A bus that opens again gets a Stop for every leg.
-                        legs.sends and servo.repeats_left and (servo.repeats_left, max(0, servo.repeat_ns - now_ns)),
+                        legs.sends and _repeats_key(legs.stops._repeats[servo.servo_id], now_ns),
                         servo.stopped_by if servo.stopped_ns == legs.instant_ns else None,
                     )
                     for servo in leg.servos
@@ -505,12 +521,31 @@ def successors(configuration: Configuration, state: State) -> Iterator[tuple[Key
 def take(supervisor: Supervisor, oracle: Oracle, event: Event, now_ns: int, instant_ns: int) -> None:
     """One step, judged. Raises Violation."""
     mode, due_ns = supervisor.mode, supervisor.due_ns
+    both_ways(supervisor, event, now_ns, instant_ns)
     effects = supervisor.step(event, now_ns, instant_ns)
     allowed = TRANSITIONS[mode][type(event)]
     demand(supervisor.mode in allowed, f"{type(event).__name__} leads {mode} to {supervisor.mode}")
     oracle.judge(event, now_ns, effects, supervisor, instant_ns)
     if isinstance(event, TimePassed) and due_ns is not None and due_ns <= now_ns:
         demand(bool(effects) or supervisor.due_ns != due_ns, "waking up at the deadline changes something")
+
+
+def both_ways(supervisor: Supervisor, event: Event, now_ns: int, instant_ns: int | None) -> None:
+    """Let copies take a command in the usual and in the general way. Raise Violation if they differ in anything but
+    an early `due_ns`."""
+    if not isinstance(event, Command) or now_ns >= supervisor.usual_ns:
+        return
+    usual, general = copied(supervisor), copied(supervisor)
+    general.usual_ns = 0
+    effects = [list(map(numbered, each.step(replace(event), now_ns, instant_ns))) for each in (usual, general)]
+    demand(effects[0] == effects[1], f"the usual way does the same: {effects}")
+    usual.legs.plan(now_ns)
+    dues = [(each.legs.due_ns, each.legs.stops.due_ns) for each in (usual, general)]
+    demand(dues[0] == dues[1], f"the usual way leaves the same to do: {dues}")
+    demand((usual.due_ns or now_ns) <= (general.due_ns or math.inf), "the usual way is never late")
+    usual.due_ns = general.due_ns
+    rank = {number: age for age, number in enumerate(sorted(pending(general)))}
+    demand(key(usual, now_ns, rank) == key(general, now_ns, rank), "the usual way leads to the same state")
 
 
 def check(

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from gateway.allowance import NS_PER_S
 from gateway.model.frames import Op
 from gateway.robot.core.events import Transmit
-from gateway.robot.core.landing import Landing
-from gateway.robot.core.leg import Rules
+from gateway.robot.core.rules import Rules
 from tests.support.history import ServoHistory, demand
 
 Gap = Callable[[int, int, int], tuple[int, int] | None]
@@ -56,7 +55,7 @@ def stepped(
 @dataclass
 class LandingHistory:
     """A landing: when it began and must end, for each running servo where it was and where it goes, and which part of
-    its way each leg has been commanded: a frame may add one rate slot's part at most."""
+    its way each has been commanded: a frame may add one rate slot's part at most."""
 
     began_ns: int
     ends_ns: int
@@ -71,11 +70,9 @@ class LandingHistory:
     def judge(
         self, transmit: Transmit, servos: Mapping[int, ServoHistory], now_ns: int, rules: Rules, gap: Gap
     ) -> None:
-        """A frame of a landing: running servos only, each on its straight line, or sent its present angle again."""
-        leg = transmit.frame.leg
+        """Judge a frame of a landing: running servos only, each on its line, or sent its present angle again."""
         length_ns = max(rules.period_ns, rules.landing_ns - 2 * rules.period_ns)
-        least_ns = self.parts_ns.get(leg, 0)
-        part_ns = self.parts_ns[leg] = min(now_ns - self.began_ns, least_ns + rules.period_ns, length_ns)
+        rounded_cdeg = 1 + -(-length_ns // NS_PER_S)  # a speed is a whole number of hundredths of a degree a second
         for servo_id, op in transmit.frame.servos:
             servo = servos[servo_id]
             if op.op is Op.STOP:
@@ -84,6 +81,8 @@ class LandingHistory:
             demand(servo.on and op.op is Op.SET, f"{servo_id} is started by a landing")
             first, last = self.ways_cdeg[servo_id]
             stood_cdeg = servo.written_cdeg or 0
+            part_ns = min(now_ns - self.began_ns, self.parts_ns.get(servo_id, 0) + rules.period_ns, length_ns)
+            self.parts_ns[servo_id] = part_ns
             line_cdeg = first + (last - first) * part_ns // length_ns
             edges = gap(servo_id, stood_cdeg, last)
             if edges is not None and min(edges) < line_cdeg < max(edges):
@@ -91,16 +90,11 @@ class LandingHistory:
             off_cdeg = abs(line_cdeg - op.angle_cdeg)
             crosses = gap(servo_id, stood_cdeg, line_cdeg) is not None
             if servo_id in rules.max_speed_cdeg_s and (op.angle_cdeg != stood_cdeg or crosses):
-                target_cdeg = line_cdeg if crosses else op.angle_cdeg
-                stepped(servo, servo_id, op.angle_cdeg, target_cdeg, now_ns, rules, gap)
-                between = sorted((servo.written_cdeg or 0, line_cdeg))
-                demand(between[0] - 1 <= op.angle_cdeg <= between[1] + 1, f"{servo_id} follows its line")
+                between = sorted((stood_cdeg, line_cdeg))
+                follows = between[0] - rounded_cdeg <= op.angle_cdeg <= between[1] + rounded_cdeg
+                demand(follows, f"{servo_id} follows its line")
+                most_cdeg = rules.max_speed_cdeg_s[servo_id] * min(now_ns - servo.said_ns, rules.period_ns) // NS_PER_S
+                demand(crosses or abs(op.angle_cdeg - stood_cdeg) <= most_cdeg + 1, f"{servo_id} goes too fast")
             else:
-                demand(off_cdeg <= 1 or op.angle_cdeg == servo.written_cdeg, f"{servo_id} leaves its straight line")
+                demand(off_cdeg <= rounded_cdeg or op.angle_cdeg == stood_cdeg, f"{servo_id} leaves its straight line")
             servo.written_cdeg, servo.said_ns, servo.bound_cdeg = op.angle_cdeg, now_ns, None
-
-
-def landing_key(landing: Landing, now_ns: int) -> tuple[object, ...]:
-    """What of a supervisor's landing can still matter, relative to now."""
-    times = (at_ns - now_ns for at_ns in (landing.began_ns, landing.ends_ns))
-    return *times, tuple(landing.ways_cdeg.items())

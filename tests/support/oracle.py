@@ -453,7 +453,7 @@ class Oracle(RobotHistory):
             theirs_ns = min(theirs, default=None)
             demand(due_ns == theirs_ns, "no time but the lease's and the buttons' is awaited while the bus is at fault")
             return
-        latest = self.head_of_queue(now_ns) + theirs
+        latest = self.next_start(now_ns) + theirs
         self.landing = self.landing if self.energised else None
         latest += self.next_rest(now_ns, ran=ran)
         watched = not self.buttons.closed or self.landing is not None

@@ -13,7 +13,7 @@ from gateway import cli
 from gateway.model.frames import OneServo, Op, ServoOp
 from gateway.robot import service
 from gateway.robot.core.events import Effect, EmergencyStop, Event, Transmit
-from gateway.robot.core.leg import Rules
+from gateway.robot.core.rules import Rules
 from gateway.robot.core.supervisor import Supervisor
 
 NS_PER_MS: Final = 1_000_000

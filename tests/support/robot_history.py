@@ -15,7 +15,7 @@ from gateway.robot.core.events import (
     StoppedOutside,
     Transmit,
 )
-from gateway.robot.core.leg import Rules
+from gateway.robot.core.rules import Rules
 from schemas.robot import LEGS
 from schemas.telemetry import Kind, Mode, Reason
 from tests.support.backlog_history import BacklogHistory
@@ -151,8 +151,6 @@ class RobotHistory:
         """Whether all repeats may go with one that is due, since nothing runs."""
         self.put_off = False
         """Whether the repeats that are due may wait for the next step, since this one stops all legs."""
-        self.queue: tuple[int, ...] = ()
-        """Legs with a start that waits, in the order in which they came."""
 
     # ---- for the model checker
 
@@ -179,9 +177,9 @@ class RobotHistory:
         oldest_ns = self.rules.unnumbered_reset_ns
         # How old the latest emergency stop is for a reset of this instant, and of one that begins now.
         since_ns = () if self.latched_ns is None else (self.instant_ns - self.latched_ns, now_ns - self.latched_ns)
-        pause = (self.energised_leg, min(now_ns - self.energised_ns, self.rules.start_pause_ns), self.queue)
+        pause = (self.energised_leg, min(now_ns - self.energised_ns, self.rules.start_pause_ns))
         if not self.rules.start_pause_ns:
-            pause = (None, 0, ())
+            pause = (None, 0)
         pending = tuple(self.pending[number] for number in sorted(self.pending))
         others = self.lease.key(now_ns), self.buttons.key(now_ns), self.body.key(now_ns), self.calibration.key()
         landing = self.landing and self.landing.key(now_ns)
@@ -451,17 +449,16 @@ class RobotHistory:
             waits = servo.want is not None and servo.want.number != own and servo.starts and not servo.on
             demand(not waits, "with staggered starts, a Stop ends what waits to be energised")
 
-    def head_of_queue(self, now_ns: int) -> list[int]:
-        """With staggered starts: when the first leg that waits to be started must be sent at the latest."""
+    def next_start(self, now_ns: int) -> list[int]:
+        """With staggered starts: when one of the legs that wait to be started must be sent at the latest."""
         starting = [
-            number
-            for number in self.legs
+            leg.slot_ns(self.rules.period_ns)
+            for number, leg in self.legs.items()
             if any(s.starts and not s.on for s in self.servos_of(number)) and not self.held(number)
         ]
-        self.queue = tuple(number for number in dict.fromkeys((*self.queue, *starting)) if number in starting)
-        if not self.queue or not self.rules.start_pause_ns:
+        if not starting or not self.rules.start_pause_ns:
             return []
         pause_ns = 0 if self.energised_leg is None else self.energised_ns + self.rules.start_pause_ns
-        slot_ns = max(self.legs[self.queue[0]].slot_ns(self.rules.period_ns), pause_ns)
-        demand(now_ns < slot_ns, f"leg {self.queue[0]} is energised when it is the first in the queue")
+        slot_ns = max(min(starting), pause_ns)
+        demand(now_ns < slot_ns, "a leg that waits is energised when the pause is over")
         return [slot_ns]

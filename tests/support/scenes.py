@@ -23,7 +23,7 @@ from gateway.allowance import NS_PER_MS
 from gateway.model.calibration import RobotCalibration
 from gateway.model.frames import STOP, OneServo, Op, ServoOp, servo_ids_of
 from gateway.robot.core import events
-from gateway.robot.core.leg import Rules
+from gateway.robot.core.rules import Rules
 from gateway.robot.core.supervisor import Supervisor
 from schemas.calibration import CalibrationCommand, ServoChange
 from schemas.robot import LEGS, SERVO_IDS

@@ -7,7 +7,7 @@ from gateway.allowance import NS_PER_S
 from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.model.frames import STOP, Op, ServoOp
 from gateway.robot.core.events import PowerSeen
-from gateway.robot.core.leg import Rules
+from gateway.robot.core.rules import Rules
 from schemas.calibration import CalibrationCommand, ServoChange
 
 TICK: Final = 10

@@ -15,7 +15,7 @@ import pytest
 
 from gateway.model.frames import Framing, OneLeg, OneServo, Op, ServoOp, stop_leg
 from gateway.robot.core.backlog import START_WAIT_NS
-from gateway.robot.core.leg import Rules
+from gateway.robot.core.rules import Rules
 from gateway.robot.service import rules
 from gateway.robot.settings import Settings
 from gateway.robot.spi import Batch

@@ -13,8 +13,8 @@ import pytest
 
 from gateway.model.frames import STOP, Op, ServoOp, servo_ids_of
 from gateway.robot.core.events import BusOpened, Command, Transmit
-from gateway.robot.core.leg import Rules
 from gateway.robot.core.message import Verb
+from gateway.robot.core.rules import Rules
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.zenoh_io.rings import LEAST_PUT_DEPTH, PASSES, RING_DEPTH, Rings
 from schemas.keys import COMMAND_KEYS, ESTOP, LEGS_COMMAND, RESET, leg_command, servo_command

@@ -18,8 +18,10 @@ from typing import Final
 from gateway.allowance import NS_PER_MS
 from gateway.model.frames import OP_START
 from gateway.robot.core.events import Command, Effect
-from gateway.robot.core.leg import BUCKET, Leg, Rules
+from gateway.robot.core.gates.rate import BUCKET
+from gateway.robot.core.leg import Leg
 from gateway.robot.core.legs import Legs
+from gateway.robot.core.rules import Rules
 from schemas.telemetry import Reason
 
 START_WAIT_NS: Final = 15 * NS_PER_MS

@@ -15,8 +15,8 @@ from typing import Any, Final
 from gateway.allowance import NS_PER_MS
 from gateway.robot.core.events import Announce, BodyMeasured, Effect
 from gateway.robot.core.interlock import ALL_LEGS, Down, Interlock, Why
-from gateway.robot.core.leg import Rules
 from gateway.robot.core.legs import Legs
+from gateway.robot.core.rules import Rules
 from schemas.telemetry import Kind, Reason
 
 RECOVERS: Final = 50

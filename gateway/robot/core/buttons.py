@@ -24,8 +24,8 @@ from typing import Final
 from gateway.allowance import NS_PER_MS
 from gateway.robot.core.events import Announce, ButtonRequest, Command, Effect, RequestAnswer, Reset
 from gateway.robot.core.interlock import ALL_LEGS, Down, Interlock
-from gateway.robot.core.leg import Rules
 from gateway.robot.core.legs import Legs
+from gateway.robot.core.rules import Rules
 from schemas import keys
 from schemas.telemetry import Kind, Reason
 

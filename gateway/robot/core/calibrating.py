@@ -24,8 +24,8 @@ from gateway.robot.core.events import (
     SaveCalibration,
 )
 from gateway.robot.core.interlock import Interlock, Why
-from gateway.robot.core.leg import Rules
 from gateway.robot.core.legs import Legs
+from gateway.robot.core.rules import Rules
 from schemas.calibration import CalibrationCommand
 from schemas.telemetry import Kind, Reason
 

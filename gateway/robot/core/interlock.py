@@ -7,8 +7,8 @@ from typing import Any, Final, Generic, NamedTuple, TypeVar
 
 from gateway.allowance import NS_PER_MS
 from gateway.robot.core.events import Announce, Calibrate, Command, Effect, Event, Reset
-from gateway.robot.core.leg import Rules
 from gateway.robot.core.legs import Legs
+from gateway.robot.core.rules import Rules
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Reason
 
@@ -80,7 +80,7 @@ class Interlock(Generic[Own]):
         "": all legs are stopped, the robot lands already, or the bus is at fault.
         """
         legs = self._legs
-        if not legs.sends or legs.landing is not None or not any(leg.armed for leg in legs):
+        if not legs.sends or legs.landing_ends_ns is not None or not any(leg.armed for leg in legs):
             return ""
         return "the robot lands" if self._rules.landing_ns and legs.running else "all six legs are stopped"
 
@@ -99,6 +99,6 @@ class Interlock(Generic[Own]):
         ends_ns = since_ns + self._rules.landing_ns
         if now_ns >= ends_ns or not self._legs.running:
             return []
-        dropped = self._legs.begin_landing(now_ns, ends_ns)
+        dropped = self._legs.land(now_ns, ends_ns)
         done = f"the robot lands, and is stopped {self._rules.landing_ns / NS_PER_MS:g} ms later"
         return [*dropped, Announce(Kind.LANDING, why, legs=ALL_LEGS, done=done)]

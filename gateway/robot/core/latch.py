@@ -5,8 +5,8 @@ from typing import Final
 from gateway.allowance import NS_PER_S
 from gateway.robot.core.events import Announce, Completed, Effect, EmergencyStop, EstopKept, Rejected, Reset
 from gateway.robot.core.interlock import Halt, Interlock
-from gateway.robot.core.leg import Rules
 from gateway.robot.core.legs import Legs
+from gateway.robot.core.rules import Rules
 from schemas.telemetry import Cause, Kind, Reason
 
 ESTOPPED: Final = "the emergency stop is engaged; reset it first"

@@ -10,8 +10,8 @@ from typing import Any, Final
 from gateway.model.frames import legs_of
 from gateway.robot.core.events import Effect, PowerSeen
 from gateway.robot.core.interlock import Down, Halt, Interlock, Why
-from gateway.robot.core.leg import Rules
 from gateway.robot.core.legs import Legs
+from gateway.robot.core.rules import Rules
 from schemas.telemetry import Cause, Reason
 
 SILENT: Final = "the power board does not answer"
@@ -38,7 +38,7 @@ class PowerRule(Interlock[PowerSeen]):
         return None
 
     def overdue(self, now_ns: int) -> list[Effect]:
-        if self._legs.landing is not None:
+        if self._legs.landing_ends_ns is not None:
             return []
         since_ns = now_ns - self._rules.feed_ns
         unfed = [leg.number for leg in self._legs if leg.unfed_ns is not None and leg.unfed_ns <= since_ns]
@@ -53,7 +53,8 @@ class PowerRule(Interlock[PowerSeen]):
         self.alive, self._refused = event.alive, dict(event.refused)
         self.closed = not event.alive or bool(event.refused)
         self.down = None if event.alive else Down(SILENT, None)
-        legs.fed = None if legs.fed is None else event.fed
+        if legs.gates.supply.fed is not None:
+            legs.gates.supply.fed = event.fed
         if not (legs.sends and event.alive):
             return []
         lost = legs_of(each for each in (*event.lost, *self._refused) if legs.servos[each].will_run)

@@ -54,13 +54,14 @@ from gateway.robot.core.events import (
     TimePassed,
     Transmit,
 )
+from gateway.robot.core.gates import NEVER
 from gateway.robot.core.interlock import Barred, Halt, Interlock, Why
 from gateway.robot.core.latch import ESTOPPED, Latch
 from gateway.robot.core.lease import RobotLease
-from gateway.robot.core.leg import Rules
 from gateway.robot.core.legs import Legs
 from gateway.robot.core.outside import Outside
 from gateway.robot.core.power_rule import PowerRule
+from gateway.robot.core.rules import Rules
 from gateway.robot.core.watchdog import Watchdog
 from schemas.telemetry import Cause, Kind, Mode, Reason
 
@@ -118,6 +119,9 @@ class Supervisor:
         self.mode = Mode.STARTING
         self.due_ns: int | None = None
         """When to send `TimePassed`; None: another event comes first."""
+        self.usual_ns = 0
+        """Until when a command that moves running servos may go the usual way; 0: not at all."""
+        self._has_usual = not rules.max_speed_cdeg_s
 
     def connect(self, interlocks: Iterable[Interlock[Any]]) -> None:
         """Use these interlocks, in this order."""
@@ -140,6 +144,10 @@ class Supervisor:
         IllegalEvent, and changes nothing, if this mode does not accept the event (`LEGAL`).
         """
         kind, legs = type(event), self.legs
+        if type(event) is Command and now_ns < self.usual_ns:
+            usual = self._usual(event, now_ns, now_ns if instant_ns is None else instant_ns)
+            if usual is not None:
+                return usual
         own = self._own.get(kind)
         if kind not in LEGAL[self.mode]:
             raise IllegalEvent(f"{kind.__name__} while {self.mode}")
@@ -162,25 +170,52 @@ class Supervisor:
         if due:
             for each in reversed(self._interlocks):  # the watchdog lands no robot for a leg that another rule stops
                 effects += each.overdue(now_ns)
-        self.watchdog.closed = legs.landing is not None
+        self.watchdog.closed = legs.landing_ends_ns is not None
         if halt is not None:
             effects += self._stop_all(halt, now_ns)
         effects += self._take(event, now_ns) if own is None else self._take_own(own, event, now_ns)
         if due:
-            effects += legs.repeat_stops(now_ns)
+            effects += legs.stops.repeat(now_ns, at_rest=legs.at_rest)
             effects += legs.take_slots(now_ns)
-            effects += legs.land(now_ns)
         if legs.sends:
-            effects += legs.stop_at_rest(now_ns)
+            effects += legs.stops.round(now_ns, ran=not legs.at_rest, runs=legs.running)
         legs.plan(now_ns)
-        if legs.landing is not None and legs.at_rest:
-            legs.landing = None  # clients have stopped all landing servos
+        if legs.landing_ends_ns is not None and legs.at_rest:
+            legs.landing_ends_ns = None  # clients have stopped all landing servos
         self.mode = self._mode_now()
         self.due_ns = legs.due_ns if legs.sends else None
         for each in self._interlocks:
             if each.due_ns is not None:
                 self.due_ns = each.due_ns if self.due_ns is None else min(self.due_ns, each.due_ns)
-        return sorted(effects, key=_after_stops) if legs.stopping else effects
+        self.usual_ns = self._usual_until_ns()
+        return sorted(effects, key=_after_stops) if legs.stops.sent else effects
+
+    def _usual_until_ns(self) -> int:
+        """Return until when a command for running servos meets no rule but the lease (ns); 0: it may meet one now."""
+        if self.mode is not Mode.ACTIVE or not self._has_usual or self.legs.landing_ends_ns is not None:
+            return 0
+        if any(each.closed or each.down is not None for each in self._interlocks if each is not self.lease):
+            return 0
+        return NEVER if self.due_ns is None else self.due_ns
+
+    def _usual(self, command: Command, now_ns: int, instant_ns: int) -> list[Effect] | None:
+        """Take a command that moves running servos, and meets no rule. Return None, and change nothing, if it may.
+
+        What it does, the general way does, too (`unit/robot/test_supervisor_machine.py` compares them).
+        """
+        if len(command.moves) < len(command.targets) or not command.targets or command.rejected is not None:
+            return None
+        lease, token, legs = self.lease, command.lease, self.legs
+        if (lease.closed or token is not None) and lease.why_not(command) is not None:
+            return None
+        legs.instant_ns = instant_ns
+        effects = legs.usual(command, now_ns)
+        if effects is not None:
+            if token is not None:
+                lease.record_use(token, now_ns)
+            if command.sent_ms is None:
+                effects = [*self.backlog.note(command, now_ns), *effects]
+        return effects
 
     def _mode_now(self) -> Mode:
         if self._ended:
@@ -269,7 +304,7 @@ class Supervisor:
                 # The order of the two is unknown, and an older Start must not overtake a Stop.
                 by = ", ".join(sorted(servo.stopped_by))
                 return Reason.SERVO_STOPPED, f"servo {servo_id} was stopped in the same instant ({by})"
-            if op.op is OP_SET and servo.angle_cdeg is None and not servo.will_run:
+            if op.op is OP_SET and not servo.will_run:
                 return Reason.SERVO_STOPPED, f"servo {servo_id} does not run; start it before you set it"
         return self.legs.why_not_whole(command) if self._rules.starts_whole else None
 
@@ -287,10 +322,8 @@ class Supervisor:
         first, self.legs.sends, self._opened = self.legs.sends or not self._opened, False, True
         # A restarted controller that does not return is silent, which needs a person.
         stays_away = event.kind is Kind.CONTROLLER_SILENT and self._fault is Kind.CONTROLLER_RESTARTED
-        self.legs.landing = None  # once the bus opens again, all legs are stopped and none lands
-        self.legs.rest.forget()
-        for servo in self.legs.servos.values():
-            servo.repeats_left = 0
+        self.legs.landing_ends_ns = None  # once the bus opens again, all legs are stopped and none lands
+        self.legs.stops.forget()
         effects = self.legs.drop(self.legs.servos.values(), Reason.BUS_FAULT, _BUS_FAULT)
         if first or stays_away:
             self._fault = event.kind
@@ -299,7 +332,7 @@ class Supervisor:
 
     def _shut_down(self, now_ns: int) -> list[Effect]:
         self._ended = True
-        self.legs.rest.runs = 0
+        self.legs.stops.runs = 0
         self.lease.end()
         sends = self.legs.sends
         done = "all servos are stopped" if sends else "the SPI bus does not answer, so no Stop can be sent"
@@ -308,7 +341,7 @@ class Supervisor:
 
     def _stop_all(self, halt: Halt, now_ns: int) -> list[Effect]:  # mutants accepted (Forget): done twice on purpose
         legs, (cause, reason, detail) = self.legs, halt
-        legs.landing = None  # a Stop of all legs ends a landing
+        legs.landing_ends_ns = None  # a Stop of all legs ends a landing
         if not legs.sends:
             return legs.drop(legs.servos.values(), reason, detail)
         return legs.stop(dict.fromkeys(legs.by_number), cause, now_ns, reason, detail)

@@ -13,8 +13,8 @@ from typing import Final, Never
 from gateway.allowance import NS_PER_MS
 from gateway.robot.core.events import Announce, Calibrate, Command, Effect
 from gateway.robot.core.interlock import ALL_LEGS, Interlock
-from gateway.robot.core.leg import Rules
 from gateway.robot.core.legs import Legs
+from gateway.robot.core.rules import Rules
 from schemas.telemetry import Cause, Kind, Reason
 
 _LANDING: Final = "the robot lands; start it once all legs are stopped"
@@ -33,11 +33,11 @@ class Watchdog(Interlock[Never]):
 
     def overdue(self, now_ns: int) -> list[Effect]:
         rules, legs = self._rules, self._legs
-        if legs.landing is not None:
-            if now_ns < legs.landing.ends_ns:
+        if legs.landing_ends_ns is not None:
+            if now_ns < legs.landing_ends_ns:
                 return []
-            due = dict.fromkeys(legs.by_number, legs.landing.ends_ns)
-            legs.landing = None
+            due = dict.fromkeys(legs.by_number, legs.landing_ends_ns)
+            legs.landing_ends_ns = None
             return [
                 *self._stop(due, now_ns, *self.objection),
                 Announce(

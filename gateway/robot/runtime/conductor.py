@@ -412,7 +412,7 @@ class Conductor:
 
     def _preamble_ns(self, bus: Bus) -> int | None:
         """Return when to write the preamble of repeated Stops, or None if none is due or it is written."""
-        repeat_ns = self.supervisor.legs.repeat_ns
+        repeat_ns = self.supervisor.legs.stops.due_ns
         return None if repeat_ns is None or bus.just_resynchronised else repeat_ns - bus.preamble_ns
 
     def _write_preamble(self) -> None:  # mutants accepted (Step): a time that is over

@@ -351,7 +351,7 @@ def board_values(status: Status, now_ns: int) -> Mapping[str, Any]:
 
 def _legs(legs: Sequence[Leg], sources: Sequence[str], now_ns: int) -> LegsReport:
     angles = [[_deg(servo.angle_cdeg) for servo in leg.servos] for leg in legs]
-    targets = [[_deg((servo.waiting or servo).angle_cdeg) for servo in leg.servos] for leg in legs]
+    targets = [[_deg((servo.target or servo).angle_cdeg) for servo in leg.servos] for leg in legs]
     commanded = [leg.commanded_ns for leg in legs]
     return LegsReport.model_validate(
         {

@@ -317,7 +317,7 @@ async def test_a_landing_that_somebody_stops_and_the_next_one_are_two(folder: Pa
     text = [line.partition("  ")[2].strip() for line in told(folder)]
     assert [line for line in text if "way down" in line or "Stop written to leg" in line] == [
         "first frame of the way down",
-        "last frame of the way down, after 5 frames; leg 3 at 76.95 45 120",
+        "last frame of the way down, after 7 frames; leg 3 at 76.96 45 120",
         "Stop written to leg 3 (command)",
     ] * 2
 

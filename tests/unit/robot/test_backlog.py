@@ -46,14 +46,11 @@ SCENES: Final = {
         104 leg 6 set 90
         105 leg 6 set 90 → completed 5 coalesced
         106 leg 6 set 90 → rejected 6 stale; rejected 7 servo_stopped""",
-    "a start that a burst of sets drops keeps no other leg waiting": f"""{STAGGERED}
+    "a start that waits for later messages keeps no other leg waiting": f"""{STAGGERED}
         50 leg 2 start 90
         65 time
         120 leg 1 start 90
-        121 timed leg 3 start 90
-        122 leg 2 set 80
-        123 leg 2 set 70
-        124 leg 2 set 60 → rejected 2 stale; completed 4 coalesced; command 3 start 90; completed 99""",
+        121 timed leg 3 start 90 → command 3 start 90; completed 99""",
     "a stop of a burst is a stop": f"""{RULES}
         100 leg 1 start 90
         101 leg 1 start 90

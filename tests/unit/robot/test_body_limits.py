@@ -9,7 +9,7 @@ import pytest
 
 from gateway.allowance import NS_PER_MS
 from gateway.robot.core.events import Transmit
-from gateway.robot.core.leg import Rules
+from gateway.robot.core.rules import Rules
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.service import rules
 from gateway.robot.settings import Settings

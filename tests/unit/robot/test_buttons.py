@@ -7,7 +7,7 @@ import pytest
 from gateway.allowance import NS_PER_MS
 from gateway.robot.core.buttons import MOST_OF_ONE, MOST_UNPROVED
 from gateway.robot.core.events import ButtonRequest, RequestAnswer
-from gateway.robot.core.leg import Rules
+from gateway.robot.core.rules import Rules
 from gateway.robot.core.supervisor import Supervisor
 from schemas.telemetry import Reason
 from tests.support.scenes import Scenes, all_stopped, play, scene_test

@@ -2,14 +2,15 @@
 
 from itertools import pairwise
 
-import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
 from gateway.allowance import NS_PER_MS, NS_PER_S
-from gateway.robot.core.landing import Landing
-from gateway.robot.core.leg import RateSlots, Servo
-from gateway.robot.core.speed import step
+from gateway.model.angle_limits import AngleLimits
+from gateway.robot.core.gates.rate import RateSlots
+from gateway.robot.core.pace import Paces, step
+from gateway.robot.core.rules import Rules
+from gateway.robot.core.servo import RUNNING, Servo
 
 
 def sent_at(period_ns: int, arrivals_ns: list[int]) -> list[int]:
@@ -65,7 +66,7 @@ def test_never_more_than_speed_times_time(
     for target, wait_ns in targets:
         before = angle
         now_ns += wait_ns
-        angle, since_ns = step(angle, target, speed, since_ns, now_ns, period_ns)
+        angle, since_ns = step(angle, target, speed, since_ns, now_ns, -(-speed * period_ns // NS_PER_S))
         assert abs(angle - before) * NS_PER_S < speed * period_ns + NS_PER_S, "no frame says more than a rate slot's"
         assert min(before, target) <= angle <= max(before, target)
         assert abs(angle - before) * NS_PER_S <= speed * wait_ns + NS_PER_S  # and rounding: a hundredth of a degree
@@ -74,7 +75,7 @@ def test_never_more_than_speed_times_time(
 
 
 def test_who_has_arrived_has_no_time_left_over() -> None:
-    assert step(0, 1_00, 100_00, 0, 10 * NS_PER_MS + 1, LONG_NS) == (1_00, 10 * NS_PER_MS + 1)
+    assert step(0, 1_00, 100_00, 0, 10 * NS_PER_MS + 1, 180_00) == (1_00, 10 * NS_PER_MS + 1)
 
 
 # ---- The way down: a straight line, its ends never left, in time
@@ -86,42 +87,29 @@ PERIOD_NS = 20 * NS_PER_MS
 @given(angles, angles, st.integers(0, 5000), st.integers(0, 4000), st.lists(st.integers(0, 5000)))
 @example(150_00, 30_00, 1000, 975, [980])  # a stall before it: 25 ms are left for 120 degrees
 @example(150_00, 30_00, 1000, 0, [*range(20, 300, 20), 900, 920])  # a stall in its middle
-def test_no_frame_goes_on_by_more_than_a_rate_slot_s_part(
+def test_no_frame_of_a_landing_has_more_than_a_rate_slot_s_part(
     first: int, last: int, length_ms: int, late_ms: int, times_ms: list[int]
 ) -> None:
     """However late it begins, and whatever stalls come: what does not arrive in time is stopped where it is."""
-    end_ns = length_ms * NS_PER_MS
-    length_ns = max(PERIOD_NS, end_ns - 2 * PERIOD_NS)
-    way = Landing(late_ms * NS_PER_MS, end_ns, length_ns, PERIOD_NS, {32: (first, last)})
-    part_ns, said = 0, [first]
+    pace = Paces(Rules(period_ns=PERIOD_NS, landing_ns=length_ms * NS_PER_MS), AngleLimits())
+    servo = Servo(32, RUNNING, first)
+    pace.land(servo, last, late_ms * NS_PER_MS)
+    said = [first]
     for at_ms in sorted(times_ms):
-        part_ns = way.next_part_ns(part_ns, (late_ms + at_ms) * NS_PER_MS)
-        said.append(way.angle_cdeg(32, part_ns))
+        if servo.target is not None:
+            said.append(pace.step(servo, (late_ms + at_ms) * NS_PER_MS, 0, lands=True).angle_cdeg)
     slots = max(1.0, length_ms / 20 - 2)
     for before, after in pairwise(said):
         assert abs(after - before) <= abs(last - first) / slots + 1
+        assert min(first, last) <= after <= max(first, last)
 
 
-def test_a_frame_says_no_more_than_its_part_of_the_time_however_old_the_clock_is() -> None:
-    way = Landing(10**12, 10**12 + 1000 * NS_PER_MS, 1000 * NS_PER_MS, PERIOD_NS, {32: (90_00, 30_00)})
-    assert way.next_part_ns(0, 10**12 + 7 * NS_PER_MS) == 7 * NS_PER_MS
-
-
-@pytest.mark.parametrize(
-    ("angles_cdeg", "moves"),
-    [
-        ((90_00, None), True),
-        ((30_00, None), False),
-        ((None, None), False),
-        ((None, 50_00), False),
-        ((31_00, 50_00), True),
-    ],
-    ids=["not there yet", "there", "stopped", "holds its angle", "one is not there yet"],
-)
-def test_a_leg_moves_while_a_running_servo_of_it_is_not_where_it_goes(
-    angles_cdeg: tuple[int | None, int | None], moves: bool
-) -> None:
-    """Servo 31 did not run when the landing began, and has no way."""
-    way = Landing(0, 1000 * NS_PER_MS, 1000 * NS_PER_MS, PERIOD_NS, {32: (90_00, 30_00), 33: (50_00, 50_00)})
-    servos = [Servo(31), *(Servo(32 + index, angle) for index, angle in enumerate(angles_cdeg))]
-    assert way.moves(servos) == moves
+@given(angles, angles, st.integers(60, 5000))
+def test_a_landing_in_time_arrives_two_rate_slots_before_its_end(first: int, last: int, length_ms: int) -> None:
+    pace = Paces(Rules(period_ns=PERIOD_NS, landing_ns=length_ms * NS_PER_MS), AngleLimits())
+    servo = Servo(32, RUNNING, first)
+    pace.land(servo, last, 0)
+    for now_ns in range(PERIOD_NS, length_ms * NS_PER_MS - PERIOD_NS + 1, PERIOD_NS):
+        if servo.target is not None:
+            pace.step(servo, now_ns, 0, lands=True)
+    assert servo.angle_cdeg == last

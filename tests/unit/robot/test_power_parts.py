@@ -15,7 +15,7 @@ from gateway.model.power_board import (
     CLEAR_ERROR,
     CanFrame,
 )
-from gateway.robot.core.leg import Rules
+from gateway.robot.core.rules import Rules
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.power.board import Confirmed, Status, Then
 from gateway.robot.power.line import PowerLine

@@ -8,7 +8,7 @@ from typing import Final
 from gateway.allowance import NS_PER_MS
 from gateway.model.frames import SETS, STARTS
 from gateway.robot.core.events import BusOpened, Command, PowerSeen, TimePassed, Transmit
-from gateway.robot.core.leg import Rules
+from gateway.robot.core.rules import Rules
 from gateway.robot.core.supervisor import Supervisor
 from tests.support.scenes import play, scene_test
 

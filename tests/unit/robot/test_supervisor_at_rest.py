@@ -4,7 +4,7 @@ from typing import Final
 
 import pytest
 
-from gateway.robot.core.leg import Rules
+from gateway.robot.core.rules import Rules
 from schemas.robot import LEGS, SERVO_IDS
 from tests.support.scenes import Scenes, play, scene_test
 
@@ -75,7 +75,7 @@ def runs_of(robot: Scenes) -> list[float]:
         if words in (REPEATED, SINGLY):
             found += [due_ms]
         assert words != SINGLY or robot.due_ms is None
-    assert words == SINGLY or robot.supervisor.legs.rest.runs == 0
+    assert words == SINGLY or robot.supervisor.legs.stops.runs == 0
     return found
 
 

@@ -10,7 +10,7 @@ import pytest
 from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.robot.core.calibrating import UNTIL_TRUSTED
 from gateway.robot.core.events import CalibrationSaved
-from gateway.robot.core.leg import Rules
+from gateway.robot.core.rules import Rules
 from tests.support.scenes import Scenes, play, scene_test
 
 MIRRORED = RobotCalibration(3, {32: ServoMapping(7_00, inverted=True, min_cdeg=10_00, max_cdeg=170_00)})
