@@ -126,6 +126,8 @@ endif
 endif
 
 $(VENV)/bin/python:
+	@command -v $(PYTHON) >/dev/null || { \
+		echo "there is no $(PYTHON) here; name one, 3.11 or later: make $(MAKECMDGOALS) PYTHON=python3.11"; exit 1; }
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
 		echo "$(PYTHON) is too old: 3.11 or later is needed; name one: make $(MAKECMDGOALS) PYTHON=python3.11"; exit 1; }
 	@$(PYTHON) -m venv --clear $(VENV) || { \

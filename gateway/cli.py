@@ -42,6 +42,7 @@ _PANELS = {
     "Files": ("decode",),
 }
 """The groups of `--help`, the urgent commands first."""
+_OPS = ("start", "set")
 _PACKAGED = (Path(__file__).parents[1] / "units/hexapod-gateway.service").is_file()
 """Whether this is the release of a Debian package: only that can be set up, so `setup` is its command alone."""
 
@@ -57,6 +58,9 @@ class _Commands(TyperGroup):
         command: Any = super().get_command(ctx, cmd_name)
         if command is None and cmd_name == "setup":
             raise ConfigError("setup is a command of the Debian package: sudo apt install ./hexapod-gateway_….deb")
+        if command is None and cmd_name in _OPS:
+            example = "hexapod-gateway send leg 3 start 90 45 120; to stand up and go: hexapod-gateway walk"
+            raise ConfigError(f"{cmd_name} is a word of `send`: {example}")
         for panel, names in _PANELS.items():
             if cmd_name in names:
                 command.rich_help_panel = panel

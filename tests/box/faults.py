@@ -24,7 +24,12 @@ CERTS = "/root/certs"
 """Where the folder of certificates is, as if on another machine, and one of another authority."""
 OTHER = "/root/other"
 PACKAGE = "/box-out/hexapod-gateway_1.1.0_amd64.deb"
-GIVEN = {"FOLDER": CERTS, "FILE": f"{CERTS}/revoked.crl", "./hexapod-gateway_1.1.0_ARCH.deb": PACKAGE}
+GIVEN = {
+    "./hexapod-gateway_VERSION_ARCH.deb": PACKAGE,
+    "FOLDER": CERTS,
+    "FILE": f"{CERTS}/revoked.crl",
+    "./hexapod-gateway_1.1.0_ARCH.deb": PACKAGE,
+}
 """What a person fills in."""
 
 
@@ -119,8 +124,7 @@ FAULTS = (
     Fault(
         "a device that another program has locked",
         "systemctl stop $service; setsid flock $(readlink -f /dev/spidev0.0) sleep 999 >/dev/null 2>&1 & sleep 1",
-        "is held by",
-        by_hand="pkill sleep; systemctl reset-failed $service; systemctl start $service",
+        "is held by flock",
     ),
     Fault(
         "a node for root only",
@@ -133,7 +137,48 @@ FAULTS = (
         "/dev/spidev9.9: No such file or directory → set spi.device; this machine has /dev/spidev0.0",
         by_hand="cp /root/gateway.toml $toml; systemctl reset-failed $service; systemctl restart $service",
     ),
+    # two releases, and a removal that was cut off
+    Fault(
+        "an upgrade that failed its trial",
+        "sed -i '1i limits.x = 1' $toml; ! dpkg --install /box-out/hexapod-gateway_1.1.1_amd64.deb\n"
+        "cp -p /root/gateway.toml $toml",
+        "limits.x: is no setting. So 1.1.0 goes on, and each apt command repeats the error",
+        then=f"dpkg --install {PACKAGE}",
+    ),
+    Fault(
+        "a removal that was cut off",
+        "echo 'kill -KILL $PPID' >>/var/lib/dpkg/info/$service.prerm; ! dpkg --remove $service",
+        "1.1.0 is only partly installed",
+    ),
+    # ports and addresses
+    Fault(
+        "another program on the port",
+        "systemctl stop $service; setsid python3 -c \"import socket, time; at = '127.0.0.1', 7447\n"
+        'each = socket.create_server(at); time.sleep(999)" >/dev/null 2>&1 & sleep 1\n'
+        "systemctl --no-block start $service",
+        "tls/127.0.0.1:7447 is held by python3",
+    ),
+    Fault(
+        "addresses that this machine does not have",
+        "sed -i 's/127.0.0.1/192.0.2.9/' $toml; systemctl restart $service",
+        "nor any other endpoint: the service runs, and nobody can reach it",
+        by_hand="cp -p /root/gateway.toml $toml; systemctl restart $service",
+    ),
+    Fault(
+        "a disk for the state that is not mounted",
+        "mkdir /root/disk; cp -a $state/. /root/disk; chown $service: /root/disk\n"
+        "printf '/root/disk %s none bind\\n' $state >>/etc/fstab",
+        "/root/disk is not mounted on /var/lib/hexapod-gateway",
+        then="systemctl stop $service; umount $state; sed -i /root.disk/d /etc/fstab; systemctl daemon-reload\n"
+        "systemctl start $service",
+    ),
     # the configuration
+    Fault(
+        "a configuration in UTF-16",
+        "iconv --to-code=UTF-16 /root/gateway.toml >$toml",
+        "is no text in UTF-8: saved in another encoding (UTF-16), or damaged by a power cut → put a copy of it there",
+        by_hand="cp -p /root/gateway.toml $toml",
+    ),
     Fault(
         "a configuration for root only", "chown root:root $toml; chmod 600 $toml", "cannot be read (Permission denied)"
     ),
@@ -144,6 +189,13 @@ FAULTS = (
         "old.key is the authority's key",
     ),
     Fault("a private key that all may read", "chmod 644 $pki/gateway.key", "not only root and the service may read"),
+    Fault(
+        "a robot that was renamed",
+        f"hexapod-gateway certs issue old --role robot --host old.local --dir {CERTS}; cp {CERTS}/old/gateway.* $pki\n"
+        "systemctl restart $service",
+        "is for old.local, and this robot is",
+        by_hand=f"cp {CERTS}/gateway.* $pki; systemctl restart $service",
+    ),
     Fault("the key of another", "cp /root/other/gateway.key $pki", "gateway.key is not the key of"),
     Fault("a damaged list of the revoked", "echo x >$state/revoked.crl", "this is no list of"),
 )

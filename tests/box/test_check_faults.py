@@ -10,7 +10,7 @@ import pytest
 from tests.box.box import Box
 from tests.box.faults import CERTS, FAULTS, GIVEN, NAMES, OTHER, Fault
 from tests.box.installed import NAME
-from tests.box.package import Packages, install
+from tests.box.package import Packages, install, share
 from tests.box.package import Robot as Packaged
 
 pytestmark = [pytest.mark.systemd, pytest.mark.nightly]
@@ -95,6 +95,7 @@ class Robot:
 def well(tmp_path_factory: pytest.TempPathFactory, packages: Packages) -> Iterator[Robot]:
     with Box(tmp_path_factory.mktemp("robot")) as box:
         install(box, packages.make("1.1.0"))
+        share(box, packages.make("1.1.1"))
         with Packaged(box) as installed:
             yield Robot(installed)
 

@@ -90,6 +90,8 @@ def test_estop_says_how_soon_reset_leaves_it_and_both_name_the_person(gateway: G
     end = gateway.run("estop")
     assert end.returncode == 0
     assert re.fullmatch(r"stopped: 6 Stop frames written within \d+ µs of the request\n", end.stdout)
+    stopped = gateway.run("stop")
+    assert (stopped.returncode, stopped.stdout) == (0, "all six legs are stopped already, by the emergency stop\n")
     rejected = gateway.run("send", "leg", "3", "start", "1", "2", "3")
     walked = gateway.run("walk", "--seconds", "1")
     for each in (rejected, walked):
@@ -149,6 +151,8 @@ NOT_RUNNING = "servo_stopped: servo 41 does not run; start it before you set it"
         ("check --config . --zenoh-config .", 2, "name one of them"),
         ("check --unplug", 2, "--only, --restart and --unplug go with --stops"),
         ("frobnicate", 2, "No such command"),
+        ("start", 2, "start is a word of `send`: hexapod-gateway send leg 3 start 90 45 120; to stand up"),
+        ("send leg 4 set 1.5 0.7 2", 1, "Angles are in degrees, 0 to 180. These look like radians."),
         ("setup --dry-run", 2, "setup is a command of the Debian package"),
         *((arguments, 4, "") for arguments in ("send leg 3 stop", "send servo 32 stop", "stop", "estop", "reset")),
         ("record no-gateway.mcap", 4, ""),

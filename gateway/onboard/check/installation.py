@@ -196,7 +196,7 @@ def state(robot: CheckedRobot) -> Iterator[Result | None]:
     """The state directory (the service's first start makes it), files in it that the service may not use, and disks."""
     folder = robot.path(_STATE)
     if robot.service is not None and folder.exists():
-        kind, not_own = mount_of(folder)[1], list[Path]()
+        not_own = list[Path]()
         for path in (folder, *folder.rglob("*")):
             with suppress(OSError):
                 status, needed = path.lstat(), stat.S_IRWXU if path.is_dir() else stat.S_IRUSR | stat.S_IWUSR
@@ -207,9 +207,7 @@ def state(robot: CheckedRobot) -> Iterator[Result | None]:
             failure(not folder.is_dir(), f"{_STATE} is no folder: {_CANNOT_START}",
                     f"sudo mv {_STATE} {_STATE}.old && {RESTART}"),
             failure(some, f"the service may not read and write {some}: it may not start, nor stop the servos after its "
-                    "end", f"sudo chown -R {SERVICE}: {_STATE} && sudo chmod -R u+rwX {_STATE} && {RESTART}"),
-            warning(kind in FORGETS, f"{_STATE} is on {kind}, which a boot empties: calibration, revocations and the "
-                    "emergency stop are lost then", "keep the folder on a partition of its own (docs/robot.md)"))
+                    "end", f"sudo chown -R {SERVICE}: {_STATE} && sudo chmod -R u+rwX {_STATE} && {RESTART}"))
     for mount in dict.fromkeys(mount_of(each)[0] for each in (folder, robot.path(_RUN), robot.root)):
         disk, in_run = os.statvfs(mount), mount.endswith(_RUN)
         free_mb, inodes = disk.f_bavail * disk.f_frsize >> 20, disk.f_favail if disk.f_files else _LEAST_INODES
@@ -221,6 +219,22 @@ def state(robot: CheckedRobot) -> Iterator[Result | None]:
             failure(full, f"{mount} has {free_mb} MB free, and room for {inodes} files: {result}",
                     "delete what fills it (with du --inodes: most files), and restart; this lists it and shortens the "
                     f"journal: sudo du -xh {mount} | sort -h | tail; sudo journalctl --vacuum-size=50M"))
+
+
+def state_disk(robot: CheckedRobot) -> Iterator[Result | None]:
+    """Each file system of /etc/fstab that should hold the state, and is not mounted; one that a boot empties."""
+    folder = Path(robot.settings.state.path or _STATE)
+    kind = mount_of(folder)[1]
+    yield first("state",
+        warning(kind in FORGETS and robot.service, f"{folder} is on {kind}, which a boot empties: calibration, "
+                "revocations and the emergency stop are lost then", "keep the state on a partition of its own "
+                "(docs/robot.md, Keep the state over a boot)"))
+    for disk, mount in (line.split()[:2] for line in robot.text("/etc/fstab").splitlines() if len(line.split()) > 1):
+        holds = not disk.startswith("#") and folder.is_relative_to(mount)
+        yield first("state",
+            failure(holds and len(mount_of(folder)[0]) < len(mount), f"{disk} is not mounted on {mount}: calibration, "
+                    "revocations and emergency stop on it are not used", f"see that {disk} is there (lsblk); with the "
+                    f"robot stopped, then: sudo mount {mount} && {RESTART}"))
 
 
 def private_keys(robot: CheckedRobot) -> Iterator[Result | None]:

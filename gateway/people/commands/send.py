@@ -1,5 +1,6 @@
 """`send`, `estop` and `reset`: one acknowledged command each, through a running gateway."""
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -18,7 +19,7 @@ from gateway.people.terminal import hint, say
 from gateway.zenoh_config import client_config
 from schemas import keys
 from schemas.robot import JOINTS, LEGS, SERVO_IDS
-from schemas.telemetry import Ack, GatewayState, Mode, WatchdogReport
+from schemas.telemetry import Ack, GatewayState, Mode, Reason, WatchdogReport
 
 HOLD_PERIOD_S = 0.05
 """A fifth of the default watchdog timeout."""
@@ -53,6 +54,8 @@ def send(connect: Connection, kind: str, number: int, op: str, angles_deg: Seque
         key = _KEYS[kind](number)
     except ValueError as error:
         raise ConfigError(str(error)) from error
+    if angles_deg and max(angles_deg) <= math.tau and any(each % 1 for each in angles_deg):
+        hint("Angles are in degrees, 0 to 180. These look like radians.")
     payload, moves = _payload(kind, op, tuple(angles_deg)), op != "stop"
     # A repeated start would undo somebody else's Stop.
     again = _payload(kind, "set", tuple(angles_deg)) if moves else payload
@@ -107,8 +110,16 @@ def _hint_watchdog(watchdog: WatchdogReport, hold_s: float) -> None:
 
 def stop(connect: Connection) -> int:
     """Stop all six legs. Returns the exit code."""
-    done = "all six legs are stopped"
-    return _ask(connect, keys.LEGS_COMMAND, lambda client: command_report(client.stop(), done, client.state))
+
+    def end(client: Client) -> int:
+        ack = client.stop()
+        if ack.reason == Reason.ESTOPPED and not any(leg.running for leg in client.state().legs):
+            say("all six legs are stopped already, by the emergency stop")
+            hint(reach.until_reset())
+            return 0
+        return command_report(ack, "all six legs are stopped", client.state)
+
+    return _ask(connect, keys.LEGS_COMMAND, end)
 
 
 def estop(connect: Connection) -> int:

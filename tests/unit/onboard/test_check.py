@@ -396,8 +396,13 @@ SCENES = (
     Scene(UNIT, unit(LoadState="bad-setting"), "failure … cannot be loaded (bad-setting)"),
     Scene("user", here(), "failure user: there is no user hexapod-gateway, so … sudo systemd-sysusers"),
     Scene("user", served(here()), *("failure user: there is no group",) * 3, patch={"grp.getgrall": list}),
-    Scene("state", unit(), "warning … is on overlay, which a boot empties",
+    Scene("state", unit(), "warning … is on overlay, which a boot empties", probes=(installation.state_disk,),
           patch={MOUNT: lambda _: ("/", "overlay")}),
+    Scene("state", files({"etc/fstab": "# /dev/a /\n/dev/b / ext4\n\n/dev/c /var/lib/hexapod-gateway ext4 nofail\n"}),
+          "failure state: /dev/c is not mounted on /var/lib/hexapod-gateway: … sudo mount /var/lib/hexapod-gateway "
+          "&& sudo systemctl reset", probes=(installation.state_disk,), patch={MOUNT: lambda _: ("/", "ext4")}),
+    Scene("state", files({"etc/fstab": "/dev/c /srv/x ext4"}, state={"path": "/srv/x/y"}), probes=(
+          installation.state_disk,), patch={MOUNT: lambda _: ("/srv/x", "ext4")}),
     *(Scene("disk", here(), *lines, patch=disk(**differs)) for differs, lines in (
           ({}, ()),
           ({"f_flag": os.ST_RDONLY}, ["/mnt is mounted read-only … sudo mount -o remount,rw /mnt"]),
