@@ -1,9 +1,9 @@
 """`hexapod-gateway`, and `python -m gateway`."""
 
-import errno
-import io
 import os
 import sys
+
+from gateway.host import output
 
 
 def main() -> None:
@@ -14,14 +14,13 @@ def main() -> None:
             # The stream is closed, and the next file would get its number: the SPI device must never become stderr.
             # closefd=False keeps the number taken, even if this object is replaced.
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), "r+", closefd=False))
-    if isinstance(sys.stdout, io.TextIOWrapper):  # a character that a terminal lacks, such as µ, must not end a command
-        sys.stdout.reconfigure(errors="backslashreplace")
+    output.guard()
     if sys.argv[1:2] == ["stop-servos"]:
         from gateway.onboard import stop
 
         code = stop.at_once(sys.argv[2:])
         if code is not None:
-            sys.exit(code)
+            sys.exit(output.finish(code))
     try:
         try:
             if sys.argv[1:2] == ["run"]:
@@ -32,12 +31,6 @@ def main() -> None:
         except KeyboardInterrupt:  # on a Raspberry Pi the import takes seconds
             sys.exit(130)
         cli.main()
-    except OSError as error:
-        if error.errno != errno.ENOSPC or error.filename is not None:
-            raise
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # Python writes what is left once more at its end
-        sys.stderr.write(f"hexapod-gateway: cannot write the output: {error.strerror}\n")
-        sys.exit(1)
     except Exception:
         if sys.argv[1:2] != ["check"]:
             raise
@@ -47,7 +40,7 @@ def main() -> None:
         if not damage:
             raise
         sys.stdout.write(f"failure  package        {damage}\n")
-        sys.exit(1)
+        sys.exit(output.finish(1))
 
 
 if __name__ == "__main__":

@@ -17,6 +17,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from gateway import __version__
 from gateway.errors import ConfigError, GatewayError
+from gateway.host import output
 from gateway.model.frames import PROTOCOL_VERSION
 from gateway.onboard import check_command, incidents, setup_command
 from gateway.people import recorder
@@ -418,10 +419,9 @@ def _end(code: int) -> NoReturn:
 
     It would wait for those that still try to reach another host, and abort when a daemon returns from Zenoh.
     """
+    code = output.finish(code)
     question = sys.modules.get("gateway.people.client.question")
     if (question is not None and question.under_way()) or any(thread.daemon for thread in threading.enumerate()):
         atexit._run_exitfuncs()
-        sys.stdout.flush()
-        sys.stderr.flush()
         os._exit(code)
     sys.exit(code)

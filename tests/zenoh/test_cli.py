@@ -194,16 +194,6 @@ def test_ctrl_c_while_it_loads_is_no_traceback(tmp_path: Path) -> None:
     assert (end.returncode, end.stdout, end.stderr) == (130, "", "")
 
 
-@pytest.mark.parametrize("arguments", ["status", "status --json", "estop", "--version"])
-def test_a_full_disk_behind_its_output_is_a_sentence(gateway: Gateway, arguments: str) -> None:
-    environment = {**os.environ, "HEXAPOD_CONNECT": gateway.endpoint}
-    with Path("/dev/full").open("w") as full:
-        command = [*COMMAND, *arguments.split()]
-        end = subprocess.run(command, env=environment, stdout=full, stderr=subprocess.PIPE, check=False, timeout=60)
-    assert end.returncode == 1
-    assert end.stderr == b"hexapod-gateway: cannot write the output: No space left on device\n"
-
-
 BUSY_DAEMON = """
 import sys, threading, zenoh
 from gateway import cli

@@ -12,6 +12,7 @@ from typing import Final, NamedTuple, NoReturn
 
 from gateway import certs
 from gateway.allowance import NS_PER_S
+from gateway.host import output
 from gateway.own_command import this_command
 from gateway.people.client import diagnosis
 from gateway.people.client.blocking import Client, several_answer
@@ -246,10 +247,8 @@ def follow(reach: Reach, *, as_json: bool) -> NoReturn:
     ended = threading.Event()
 
     def show(line: NewsLine) -> None:
-        try:
-            sys.stdout.write(f"{line.as_json if as_json else line.plain}\n")
-            sys.stdout.flush()
-        except OSError:  # the reader has gone
+        sys.stdout.write(f"{line.as_json if as_json else line.plain}\n")
+        if output.failed():
             ended.set()
 
     source = "hexapod-gateway status"
@@ -266,4 +265,4 @@ def follow(reach: Reach, *, as_json: bool) -> NoReturn:
             follower.poll()
         link.close()
     # The interpreter's own end aborts while a thread is inside Zenoh, which may take ten seconds.
-    os._exit(0)
+    os._exit(output.finish(0))
