@@ -5,10 +5,8 @@ angle: one that stands allows a leg where it was stopped, one that lies allows w
 """
 
 import copy
-import copyreg
 from collections.abc import Callable, Collection, Iterable
 from functools import cache
-from types import MappingProxyType
 from typing import Final
 
 import pytest
@@ -21,18 +19,17 @@ from gateway.people.walking.ride import START_PAUSE_S, USUAL_SILENCES, Phase, Ri
 from gateway.people.walking.robot import Pose, Robot
 from schemas.robot import LEGS
 from schemas.telemetry import Telemetry
+from tests.support.walked import TICK_S
 
 ROBOT: Final = Robot(load())
 WHOLE: Final = Robot(load(), starts_whole=True)
 """Its legs start and stop together only."""
 FED_SINGLY: Final = Robot(load(), fed_singly=True)
 """A board feeds its servos, each from its start on."""
-TICK_S: Final = 0.02
 WATCHDOG_S: Final = 0.25
 _NEAR_M: Final = 0.045
 """Above the lowest foot: a foot in mid-swing counts as one that can be put down."""
 _LOW_M: Final = 0.005
-copyreg.pickle(MappingProxyType, lambda proxy: (MappingProxyType, (dict(proxy),)))
 
 
 class Ridden:

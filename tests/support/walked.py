@@ -1,9 +1,11 @@
 """A walking engine under test: after each of its ticks, what must hold on every one is checked."""
 
+import copyreg
 import math
 from copy import deepcopy
 from functools import cache
 from itertools import pairwise
+from types import MappingProxyType
 from typing import Final
 
 import pytest
@@ -20,6 +22,7 @@ TICK_S: Final = 0.02
 _ROUNDING: Final = 1e-6
 _LOW_M: Final = 0.010
 """Servos give way under load, so a foot may touch the ground from here on."""
+copyreg.pickle(MappingProxyType, lambda proxy: (MappingProxyType, (dict(proxy),)))  # so that a robot can be copied
 
 
 def legs_that_carry(engine: Engine) -> frozenset[int]:

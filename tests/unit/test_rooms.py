@@ -170,5 +170,4 @@ def test_no_wire_is_named_outside_its_own_files() -> None:
     files = [path for kind in ("*.py", "*.js", "*.html") for path in GATEWAY.rglob(kind) if "vendor" not in path.parts]
     files += (GATEWAY.parent / "schemas").glob("*.py")
     named = [path for path in files if any(name in path.read_text() for name in names)]
-    assert len(files) > 200
     assert {str(path).removeprefix(f"{GATEWAY}/") for path in named} == WIRES_OWN

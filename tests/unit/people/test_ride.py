@@ -18,7 +18,8 @@ from gateway.people.walking.robot import FEED_S, Robot
 from schemas.robot import LEGS
 from schemas.telemetry import Telemetry
 from tests.support.measuring import MEASURED
-from tests.support.ridden import FED_SINGLY, ROBOT, TICK_S, WHOLE, Ridden, standing
+from tests.support.ridden import FED_SINGLY, ROBOT, WHOLE, Ridden, standing
+from tests.support.walked import TICK_S
 
 AHEAD: Final = Velocity(0.06)
 LONGEST_STRIDE_S: Final = 1.0

@@ -17,7 +17,8 @@ from gateway.people.walking.motion import STILL, BodyPose, Odometry, Posture, Ve
 from gateway.people.walking.ride import Ride
 from gateway.people.walking.tempo import MOST_M, MOST_RAD, SLEW_M_S2, Distance
 from gateway.people.walking.ways import LONGEST_S
-from tests.support.ridden import TICK_S, Ridden, standing
+from tests.support.ridden import Ridden, standing
+from tests.support.walked import TICK_S
 
 AHEAD: Final = Velocity(0.1)
 
