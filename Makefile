@@ -19,7 +19,7 @@ help:
 	@echo "make test     what needs only Python and a shell: three minutes on two cores, as any user, on any Linux"
 	@echo "              (PYTEST_ARGS=\"tests/zenoh -k estop\": only these, one after the other)"
 	@echo "make test-all and what needs root or Debian packages (it installs them; APT=no: it does not), or searches:"
-	@echo "              twelve minutes in all"
+	@echo "              twelve minutes in all (REST=yes: only what make test leaves)"
 	@echo "make nightly  and what takes long: falls, walks, releases, the kernel's spidev, all mutants, an hour's soak, benchmarks"
 	@echo "make check    ruff, mypy, and the JSON Schemas compared with the models"
 	@echo "make bench    the benchmark: this gateway beside the naive script; needs cc (QUICK=1: in a minute; RELEASE=FOLDER: and an earlier one)"
@@ -51,7 +51,7 @@ else
 endif
 
 test-all: $(VENV)/dev $(VENV)/rclpy debian-packages
-	@$(BIN)/python -m tests --all --workers $(WORKERS)
+	@$(BIN)/python -m tests $(if $(REST),--rest,--all) --workers $(WORKERS)
 
 nightly: $(VENV)/dev $(VENV)/rclpy debian-packages
 	@$(BIN)/python -m tests --nightly --workers $(WORKERS)

@@ -2,6 +2,7 @@
 
 python -m tests            # make test: what needs Python and a shell
 python -m tests --all      # make test-all: and what needs root or Debian's packages, or searches
+python -m tests --rest     # make test-all REST=yes: of these, what make test leaves
 python -m tests --nightly  # the tests of make nightly: all of them
 python -m tests --quick    # make quick: ruff, mypy and the unit tests, at once
 
@@ -9,11 +10,13 @@ Exit code 1: a test failed. One that failed is run once more, behind all others:
 browser and a robot with physics may hold a program up for longer than any patience. It is named as flaky then.
 
 The model check's searches, and mutants of the files that have changed, run behind the stages that leave processors
-idle, and only take these.
+idle, and only take these. A night also runs each file by itself, and all files in random order: a test may need what
+another file's import, or another test, leaves.
 """
 
 import argparse
 import json
+import random
 import resource
 import signal
 import subprocess
@@ -21,6 +24,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
@@ -48,6 +52,7 @@ def main() -> int:
     parser.add_argument("--workers", type=int, default=3, help="how many run side by side (default: %(default)s)")
     which = parser.add_mutually_exclusive_group()
     which.add_argument("--all", action="store_true", help="what needs root or Debian's packages, or searches, too")
+    which.add_argument("--rest", action="store_true", help="only what a run without options leaves of --all")
     which.add_argument("--nightly", action="store_true", help="what takes long, too")
     which.add_argument("--quick", action="store_true", help="ruff, mypy and the unit tests")
     chosen = parser.parse_args()
@@ -56,9 +61,12 @@ def main() -> int:
         run.pass_on()
         if chosen.quick:
             green = _quick()
-        elif chosen.all or chosen.nightly:
-            stages = Stages(MOST_S["nightly" if chosen.nightly else "all"])
-            green = _stages(stages, chosen.workers, "" if chosen.nightly else " and not nightly")
+        elif chosen.nightly:
+            stages = Stages(MOST_S["nightly"])
+            green = all([_stages(stages, chosen.workers, ""), _shuffled(stages, chosen.workers), _files()])
+        elif chosen.all or chosen.rest:
+            only = " and not nightly and full" if chosen.rest else " and not nightly"
+            green = _stages(Stages(MOST_S["all"]), chosen.workers, only)
         else:
             stages = Stages(MOST_S["test"])
             test = ("--cache-clear", "-n", str(chosen.workers), "-m", "not full and not nightly")
@@ -123,6 +131,32 @@ def _stages(stages: Stages, workers: int, only: str) -> bool:
         passed = stages.twice(green)
         codes = stages.ended(searches, "the searches"), stages.ended(judged, "the mutants")
     return passed and not any(codes)
+
+
+def _shuffled(stages: Stages, workers: int) -> bool:
+    """Whether all tests pass in an order that no run had before; none has a second try."""
+    seed = random.randrange(10**6)  # noqa: S311
+    return stages.run(
+        f"--shuffle {seed}", "--shuffle", str(seed), "-n", str(workers), "-m", f"{TOGETHER} and not nightly"
+    )
+
+
+def _files() -> bool:
+    """Whether each file of tests passes by itself."""
+
+    def passes(path: Path) -> bool:
+        command = [*_PYTEST, "-q", "-p", "no:cacheprovider", "-m", "not alone and not nightly", str(path)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode not in (pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED):
+            print(f"by itself {path} fails:\n{done.stdout[-4000:]}", flush=True)
+            return False
+        return True
+
+    files = sorted(schedule.TESTS.rglob("test_*.py"))
+    with ThreadPoolExecutor(2) as pool:
+        failed = len(files) - sum(pool.map(passes, files))
+    print(f"{len(files)} files by themselves, {failed} failed", flush=True)
+    return failed == 0
 
 
 @contextmanager

@@ -4,6 +4,7 @@ CONTRIBUTING.md explains the tiers. FOLDERS has the marks of whole folders: a ti
 """
 
 import os
+import random
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -51,6 +52,12 @@ def arrange(items: list[pytest.Item]) -> None:
                 item.add_marker(mark)
     order = list(FOLDERS)
     items.sort(key=lambda item: order.index(_folder(item.nodeid)) if _folder(item.nodeid) in order else -1)
+
+
+def shuffle(items: list[pytest.Item], seed: int) -> None:
+    """Sort the files at random, and the tests within each file."""
+    draw, files = random.Random(seed).random, dict[str, float]()  # noqa: S311
+    items.sort(key=lambda item: (files.setdefault(_file(item.nodeid), draw()), draw()))
 
 
 def is_elsewhere(path: Path, marks: str) -> bool:

@@ -2,7 +2,6 @@
 
 import asyncio
 import os
-import time
 from contextlib import nullcontext
 from pathlib import Path
 from threading import Event, Thread
@@ -14,6 +13,7 @@ from gateway.model.black_box import MISTAKE, RING_FILE
 from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.model.frames import Framing, decode
 from gateway.people.recorder import ring_reader as rec
+from gateway.robot.blackbox import recorder as recording
 from gateway.robot.blackbox import ring as rings
 from gateway.robot.core.events import Announce
 from gateway.robot.settings import Settings
@@ -78,16 +78,19 @@ def in_force(records: rec.Records, ns: int) -> int | None:
 async def test_a_run_that_fails_at_once_has_its_end(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Such as one whose port is taken: it fails before its black box is open."""
     recorder, begun, prepare = Robot({"state": {"path": str(folder)}}).conductor.recorder, Event(), rings.prepare
+    ended = Event()
 
     def late(path: Path) -> Path:
         begun.set()
-        time.sleep(0.05)
+        assert ended.wait(60)
         return prepare(path)
 
     monkeypatch.setattr(rings, "prepare", late)
+    monkeypatch.setattr(recording, "OPENING_S", 60)  # a busy machine may take longer than a robot
     Thread(target=recorder.open, args=(nullcontext(),), daemon=True).start()
-    begun.wait(15)
+    assert begun.wait(60)
     recorder.ended("the port is taken")
+    ended.set()
     recorder.close()
     assert contents(folder)[-1] == rec.Noted("end", "the port is taken")
 

@@ -172,9 +172,9 @@ def test_an_interface_that_fails_is_closed_and_opened_again_and_the_mask_leaves_
     owner = started(first, second)
     first.fails = fault
     owner.line.cut()
-    assert str(fault) in owner.until_reported(Kind.POWER_UNCONFIRMED).detail
+    owner.until(lambda: any(str(fault) in news.detail for news in owner.reported(Kind.POWER_UNCONFIRMED)))
     assert first.closed.wait(MOST_S)
-    owner.until(lambda: owner.line.status.alive)
+    owner.until(lambda: owner.was_alive)
     owner.line.close()
     assert CanFrame(0x6A, bytes(3)) in second.sent
     assert second.closed.is_set()
