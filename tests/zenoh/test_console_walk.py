@@ -178,7 +178,7 @@ def test_after_a_stop_of_somebody_else_only_a_new_press_walks(page: Page, pad: P
     assert robot.stop(3).accepted
     posture(page, "halted")
     robot.estop()
-    assert posture(page, None)["detail"] == "the emergency stop was engaged by watcher"
+    walk(page, lambda message: message["detail"] == "the emergency stop was engaged by watcher")
     stopped = page.wait("state", lambda message: message["state"]["mode"] == "estopped")
     assert stopped["now"] == "Emergency stop by watcher: nothing runs until a reset"
     assert page.reset(robot.state().estop)["ack"]["accepted"]
