@@ -37,6 +37,7 @@ _CALIBRATION_REQUESTS: Final = (*_robot("calibration_conductor"), *_tests("zenoh
 _CHECKER: Final = (*_people("lease_checker"), *_robot("lease_conductor"))
 _BUS: Final = (*_robot("bus bus_device conductor conductor_safety"), *_SETTINGS, *_robot("slow_failures"))
 _POWER: Final = _robot("power_scenes power_board power_conductor")
+_WALKING: Final = _people("walking_gait walking_balance ride times")
 _CYCLIC: Final = _robot("elkapod_wire elkapod_conductor power_conductor")
 
 JUDGES: Final = {
@@ -109,5 +110,9 @@ JUDGES: Final = {
     "gateway/people/walking/tempo.py": _people("ride_script times"),
     "gateway/people/walking/words.py": _people("words times"),
     "gateway/people/walking/ride.py": _people("ride ride_script times"),
+    **{
+        f"gateway/people/walking/{room}.py": _WALKING
+        for room in ["balance", "engine", "gaits", "inverse", "motion", "planning", "robot", "swing", "ways"]
+    },
 }
 """What keeps the robot safe, in the order of the way back: what stays longest comes first."""

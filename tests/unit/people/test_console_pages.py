@@ -12,14 +12,17 @@ import pytest
 
 from gateway import geometry
 from gateway.errors import DisconnectedError
+from gateway.people.client.blocking import Client
 from gateway.people.client.confirmed_stop import AGAIN_NS
-from gateway.people.console.pages.page_messages import Message, ack_message, event_message, link_message
+from gateway.people.console.pages.page_lease import PageLease
+from gateway.people.console.pages.page_messages import DriveRequest, Message, ack_message, event_message, link_message
 from gateway.people.console.pages.page_tasks import KEPT_MESSAGES, EndError, Outgoing, PageTasks, Stops, send_stopping
 from gateway.people.console.pages.pages import Page, Pages
 from gateway.people.walking.engine import Engine
 from gateway.people.walking.planning import lying_deg
 from gateway.people.walking.robot import Robot
 from gateway.people.walking.ways import ON_GROUND_M
+from schemas.lease import LeaseAck
 from schemas.robot import LEGS
 from schemas.telemetry import Ack, Event, Telemetry, WireReport
 from tests.support.published import WALL, state
@@ -94,6 +97,21 @@ async def test_a_page_has_so_many_tasks_and_its_end_one_more(in_turn: bool, bega
     await tasks.ended(1)
     assert steps == began
     tasks.check()
+
+
+def test_a_page_with_the_lease_does_not_learn_its_token() -> None:
+    token, sent = "0123456789abcdef" * 2, list[Message]()
+    requests = SimpleNamespace(as_person=lambda *_: LeaseAck(accepted=True, lease=token, nonce=token, ttl_ms=250))
+    lease = PageLease(lambda: cast("Client", SimpleNamespace(requests=requests)), "a page", sent.append)
+
+    async def acquire() -> None:
+        lease.ask(DriveRequest(type="lease", id=1, do="acquire"))
+        await lease.tasks.ended(60)
+
+    asyncio.run(acquire())
+    assert (lease.token, lease.mine) == (token, True)
+    assert sent[0]["mine"]
+    assert token not in str(sent)
 
 
 # ---- of a robot that measures

@@ -107,6 +107,14 @@ def positions(message: Message) -> dict[str, float]:
     return dict(zip(message.name, message.position, strict=True))
 
 
+def test_each_message_has_the_time_at_which_it_was_received(path: Path) -> None:
+    times_ns = [time_ns for _, _, time_ns in reports(60)]
+    with recorded(path, 60).open("rb") as file:
+        found = [(channel, message.log_time) for _, channel, message in make_reader(file).iter_messages()]
+    assert [time_ns for channel, time_ns in found if channel.message_encoding == "json"] == times_ns
+    assert {time_ns for channel, time_ns in found if channel.message_encoding != "json"} <= {START_NS, *times_ns}
+
+
 def test_what_the_gateway_publishes_is_what_is_recorded() -> None:
     assert set(keys.PUBLISHED) == REPORTS.keys(), "a new key wants its model in REPORTS"
 

@@ -19,7 +19,7 @@ from gateway.people.walking.robot import Range, Robot, check_mirrored_once
 from gateway.robot.settings import load as load_settings
 from schemas.calibration import Calibration
 from schemas.robot import LEGS
-from tests.support.walked import Walked, legs_that_carry, standing
+from tests.support.walked import TICK_S, Walked, legs_that_carry, standing
 
 pytestmark = pytest.mark.full
 
@@ -87,6 +87,21 @@ def test_it_goes_where_it_was_sent(of: str, velocity: Velocity) -> None:
     assert math.hypot(*went) == pytest.approx(5 * math.hypot(*velocity[:2]), abs=0.01)
     assert walked.engine.scaled == STILL
     assert walked.engine.limit == ""
+
+
+@pytest.mark.parametrize("of", sorted(GAITS))
+def test_a_foot_lands_as_far_ahead_of_its_rest_as_it_leaves_behind_it(of: str) -> None:
+    walked, velocity, stood = standing(robot("default"), of), Velocity(0.05), {leg: list[float]() for leg in LEGS}
+    walked.run(3 * GAITS[of].period_s, velocity)
+    for _ in range(round(4 * GAITS[of].period_s / TICK_S)):
+        walked.tick(velocity)
+        state = walked.engine.state
+        for leg in legs_that_carry(walked.engine):
+            stood[leg].append(state.feet[leg][0] - state.rests[leg][0])
+    ways_m = 2 * TICK_S * velocity.forward_m_s
+    for ahead_m in stood.values():
+        assert max(ahead_m) == pytest.approx(-min(ahead_m), abs=ways_m)
+        assert sum(ahead_m) / len(ahead_m) == pytest.approx(0, abs=ways_m)
 
 
 def test_limits_that_leave_no_stride_leave_a_robot_that_stands() -> None:
