@@ -20,7 +20,8 @@ help:
 	@echo "              (PYTEST_ARGS=\"tests/zenoh -k estop\": only these, one after the other)"
 	@echo "make test-all and what needs root or Debian packages (it installs them; APT=no: it does not), or searches:"
 	@echo "              twelve minutes in all (REST=yes: only what make test leaves)"
-	@echo "make nightly  and what takes long: falls, walks, releases, the kernel's spidev, all mutants, an hour's soak, benchmarks"
+	@echo "make nightly  and what takes long: falls, walks, releases, each file of tests by itself, the Pythons of three Debians,"
+	@echo "              the kernel's spidev, all mutants, an hour's soak, benchmarks"
 	@echo "make check    ruff, mypy, and the JSON Schemas compared with the models"
 	@echo "make bench    the benchmark: this gateway beside the naive script; needs cc (QUICK=1: in a minute; RELEASE=FOLDER: and an earlier one)"
 	@echo "make kernel   a virtual machine (QEMU) with Debian's kernel: lists, Stops and failures on its real spidev; some minutes"
@@ -56,6 +57,7 @@ test-all: $(VENV)/dev $(VENV)/rclpy debian-packages
 nightly: $(VENV)/dev $(VENV)/rclpy debian-packages
 	@$(BIN)/python -m tests --nightly --workers $(WORKERS)
 	ZYGOTE=no $(BIN)/pytest tests/hil/test_service.py tests/zenoh/test_service.py
+	$(BIN)/python -m tests.pythons
 	@$(MAKE) --no-print-directory kernel mutants bench soak
 
 check: $(VENV)/dev
