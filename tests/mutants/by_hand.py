@@ -136,13 +136,10 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
         ),
     ),
     "gateway/robot/core/backlog.py": (
-        ByHand("starts that wait are not dropped", "self._legs.drop(waiting, Reason.STALE, _why(key))", "[]"),
-        ByHand("a burst rejects no further start", "if now_ns >= self._until_ns.get(command.key, now_ns):", "if True:"),
-        ByHand(
-            "a burst is never over",
-            "now_ns >= self._until_ns.get(command.key, now_ns)",
-            "command.key not in self._until_ns",
-        ),
+        ByHand("a clump adds nothing", "min(rules.most_clumped, stretch.score + CLUMPED)", "stretch.score"),
+        ByHand("a key never begins anew", "now_ns - stretch.last_ns >= rules.quiet_ns:", "False:"),
+        ByHand("a busy reader is taken for a backlog", "stretch.room > 0, stretch.room - 1", "False, 0"),
+        ByHand("only the servo's own key counts", "servo.servo_id in each.servos", "len(each.servos) == 1"),
     ),
 }
 

@@ -25,7 +25,7 @@ _SUPERVISOR: Final = (
     *_robot("supervisor_at_rest supervisor supervisor_stops supervisor_faults supervisor_speed supervisor_takeover"),
     *_robot("supervisor_landing supervisor_calibration supervisor_whole body_limits power_rule"),
     *_robot("lease buttons"),
-    f"{_BACKLOG}::test_the_fourth_message_in_one_slot_is_a_burst_and_no_start_of_it_is_ever_sent",
+    f"{_BACKLOG}::test_a_dead_programs_backlog_starts_nothing",
     f"{_BACKLOG}::test_a_scene",
     *_robot("conductor conductor_safety"),
 )

@@ -1,81 +1,116 @@
-"""What a judge of the supervisor remembers of messages without a time, and of the starts that wait for more of them."""
+"""What a judge of the supervisor remembers of messages without a time: how each key's messages have arrived."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Self
+from typing import NamedTuple, Self
 
+from gateway.allowance import NS_PER_MS
 from gateway.robot.core.events import Command
+from gateway.robot.core.message import Verb
 from gateway.robot.core.rules import Rules
+
+LONG_AGO_NS = -(10**9)
+
+
+class Rhythm(NamedTuple):
+    """One key's messages since it was last quiet."""
+
+    first_ns: int
+    last_ns: int
+    instant_ns: int
+    excused: int
+    """Further messages of this instant that may have waited for the reader."""
+    messages: int
+    score: int
+    servos: frozenset[int]
+    """All that they start or set."""
+
+    def key(self, now_ns: int, rules: Rules) -> tuple[object, ...]:
+        """What of it still matters."""
+        young_ns = max(0, self.first_ns + rules.start_wait_ns - now_ns)
+        apart_ns = max(0, self.instant_ns + rules.apart_ns - now_ns)
+        return young_ns, now_ns - self.last_ns, apart_ns, self.excused, min(self.messages, 4), self.score, self.servos
 
 
 @dataclass(slots=True)
 class BacklogHistory:
-    """When messages without a time came on each key, and which legs such a start of which key would energise."""
+    """How messages without a time came on each key, and since when servos' starts wait for what comes after them."""
 
     rules: Rules
-    came: dict[str, tuple[int, ...]] = field(default_factory=dict)
-    bursts_ns: dict[str, int] = field(default_factory=dict)
-    """When a key's latest burst was seen."""
-    held: dict[int, str] = field(default_factory=dict)
-    now_ns: int = 0
+    rhythms: dict[str, Rhythm] = field(default_factory=dict)
+    waiting_ns: dict[int, int] = field(default_factory=dict)
+    taken_ns: dict[int, int] = field(default_factory=dict)
+    """When the newest command for such a start was accepted: it is not rejected in the same step."""
+    instant_ns: int = 0
+    before_ns: int = 0
+    """From when on messages of this instant may have waited for the reader."""
+    read_ns: int = 0
 
     def clone(self) -> Self:
-        """A copy."""
-        return type(self)(self.rules, dict(self.came), dict(self.bursts_ns), dict(self.held), self.now_ns)
+        """Return a copy."""
+        changed = dict(self.rhythms), dict(self.waiting_ns), dict(self.taken_ns)
+        return type(self)(self.rules, *changed, self.instant_ns, self.before_ns, self.read_ns)
 
-    def comes(self, command: Command, now_ns: int) -> list[int]:
-        """A command comes. Returns the legs whose waiting starts it shows to be of a burst."""
-        self.now_ns = now_ns
-        counts = command.sent_ms is None and command.moves and command.rejected is None
-        if not self.rules.start_wait_ns or not counts:
-            return []
-        recent = [at for at in self.came.get(command.key, ()) if now_ns - at < self.rules.window_ns] + [now_ns]
-        self.came[command.key] = tuple(recent)
-        allowed = max(3, 2 + self.rules.window_ns // self.rules.period_ns)
-        if len(recent) <= allowed:
-            return []
-        self.bursts_ns[command.key] = now_ns
-        return [leg for leg, key in self.held.items() if key == command.key]
+    def comes(self, command: Command, instant_ns: int, now_ns: int) -> None:
+        """Take a command's message into account."""
+        if not self.rules.start_wait_ns or command.sent_ms is not None or not command.moves or command.rejected:
+            return
+        if instant_ns > self.instant_ns:
+            pause_ns = instant_ns - self.read_ns
+            self.before_ns = instant_ns
+            if pause_ns < NS_PER_MS:
+                self.before_ns = max(self.instant_ns, instant_ns - 3 * NS_PER_MS)
+            self.instant_ns = instant_ns
+        self.read_ns = now_ns
+        old = self.rhythms.get(command.key)
+        if old is None or now_ns - old.last_ns >= self.rules.quiet_ns:
+            old = Rhythm(now_ns, now_ns, LONG_AGO_NS, 0, 0, 0, frozenset())
+        if old.instant_ns == instant_ns:
+            alone, excused = old.excused > 0, max(0, old.excused - 1)
+        else:
+            alone = command.verb is Verb.GET or instant_ns - old.instant_ns >= self.rules.apart_ns
+            excused = 0 if old.instant_ns < self.before_ns else (instant_ns - self.before_ns) // NS_PER_MS
+        score = max(old.score - 1, 0) if alone else min(old.score + 3, self.rules.most_clumped)
+        servos = old.servos | {servo_id for servo_id, _ in command.moves}
+        self.rhythms[command.key] = Rhythm(old.first_ns, now_ns, instant_ns, excused, old.messages + 1, score, servos)
 
-    def is_of_burst(self, command: Command) -> bool:
-        """Whether a command is of a burst: a leg that does not run takes no start of it."""
-        seen_ns = self.bursts_ns.get(command.key)
-        return command.sent_ms is None and seen_ns is not None and self.now_ns - seen_ns < self.rules.timeout_ns
+    def begins(self, servo_id: int, command: Command, now_ns: int, *, waits: bool) -> None:
+        """Let an accepted start or set of a servo that does not run wait; `waits`: an earlier start of it does."""
+        earlier_ns = self.waiting_ns.pop(servo_id, now_ns - self.rules.silence_ns)
+        since_ns = earlier_ns if waits else now_ns
+        if self.rules.start_wait_ns and command.sent_ms is None:
+            self.waiting_ns[servo_id], self.taken_ns[servo_id] = since_ns, now_ns
+            if self.verdict(servo_id, now_ns) is True:
+                del self.waiting_ns[servo_id]
 
-    def starts(self, command: Command, leg: int, *, armed: bool) -> bool:
-        """A leg that does not run takes a start. Returns whether that has to wait from now on."""
-        if command.sent_ms is not None:
-            self.held.pop(leg, None)
-        waits = bool(self.rules.start_wait_ns) and command.sent_ms is None and not armed
-        if waits:
-            self.held[leg] = command.key
-        return waits
+    def verdict(self, servo_id: int, now_ns: int) -> bool | int:
+        """Return whether the servo's start leaves (True) or is rejected (False), or when to look again."""
+        since_ns = self.waiting_ns.get(servo_id)
+        if since_ns is None:
+            return True
+        rules = self.rules
+        known = [each for each in self.rhythms.values() if servo_id in each.servos or rules.starts_whole]
+        known = [each for each in known if now_ns < each.last_ns + rules.quiet_ns]
+        others = [each for each in known if each.last_ns > since_ns]
+        least_ns = since_ns + (rules.silence_ns if others else rules.start_wait_ns)
+        least_ns = max([least_ns, *(each.first_ns + rules.start_wait_ns for each in known)])
+        if now_ns < least_ns:
+            return least_ns
+        clumps = [each for each in known if each.score > 0]
+        if not clumps:
+            return True
+        silent_ns = max(each.last_ns for each in clumps) + rules.silence_ns
+        if silent_ns <= now_ns and max(each.messages for each in clumps) <= 3:
+            return True
+        last_ns = max(min(silent_ns, since_ns + rules.proof_ns), self.taken_ns[servo_id] + 1)
+        return last_ns if now_ns < last_ns else False
 
     def key(self, now_ns: int, waiting: Iterable[int]) -> tuple[object, ...]:
-        """What still matters of it, where these legs wait to be started."""
-        return backlog_key(
-            self.rules, self.came, {key: at + self.rules.timeout_ns for key, at in self.bursts_ns.items()},
-            self.held, now_ns, waiting,
-        )  # fmt: skip
-
-
-def backlog_key(
-    rules: Rules,
-    came: Mapping[str, tuple[int, ...]],
-    until_ns: Mapping[str, int],
-    held: Mapping[int, str],
-    now_ns: int,
-    waiting: Iterable[int],
-) -> tuple[object, ...]:
-    """What tells states apart: messages within the window, bursts that are not over, and who waits for what."""
-    if not rules.start_wait_ns:
-        return ()
-    most = max(3, 2 + rules.window_ns // rules.period_ns)
-    recent = {
-        key: tuple(now_ns - at for at in times[-most:] if now_ns - at < rules.window_ns) for key, times in came.items()
-    }
-    return (
-        tuple(sorted((key, ages) for key, ages in recent.items() if ages)),
-        tuple(sorted((key, until - now_ns) for key, until in until_ns.items() if until > now_ns)),
-        tuple((leg, held[leg]) for leg in sorted(waiting) if leg in held),
-    )
+        """Return what still matters of it, if these servos wait to be started."""
+        rhythms = ((name, each) for name, each in self.rhythms.items() if now_ns < each.last_ns + self.rules.quiet_ns)
+        held = tuple(
+            (servo_id, now_ns - self.waiting_ns[servo_id], self.taken_ns[servo_id] == now_ns)
+            for servo_id in waiting
+            if servo_id in self.waiting_ns
+        )
+        return tuple(sorted((name, *each.key(now_ns, self.rules)) for name, each in rhythms)), held

@@ -236,8 +236,6 @@ class LegHistory:
     """Whose command is in force."""
     unfed_ns: int | None = None
     """Since when a start of it waits for its supply."""
-    held_until_ns: int = 0
-    """Until when its start waits for what may come behind it."""
 
     def key(self, now_ns: int, rules: Rules, *, armed: bool) -> tuple[object, ...]:
         """What of it still matters; see `Oracle.key`."""
@@ -252,7 +250,6 @@ class LegHistory:
 
     def moved(self, now_ns: int, period_ns: int) -> None:
         """A frame moves this leg now; raise Violation where it may not."""
-        demand(now_ns >= self.held_until_ns, "a start without a time waits for what may come behind it")
         held_ns = self.held_ns(now_ns, period_ns)
         demand(held_ns >= period_ns, "no frame without a rate slot")
         apart = self.moved_ns is None or 4 * (now_ns - self.moved_ns) >= period_ns
@@ -267,9 +264,9 @@ class LegHistory:
     def slot_ns(self, period_ns: int) -> int:
         """From when a frame for this leg need not wait any more."""
         if self.moved_ns is None:
-            return self.held_until_ns
+            return 0
         quarter_ns = -(-period_ns // 4)
-        return max(self.held_until_ns, self.moved_ns + max(quarter_ns, period_ns - self.bucket_ns))
+        return self.moved_ns + max(quarter_ns, period_ns - self.bucket_ns)
 
 
 def change_hands(

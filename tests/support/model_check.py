@@ -17,6 +17,7 @@ from typing import Any, Final
 
 from gateway.allowance import NS_PER_MS
 from gateway.model.calibration import RobotCalibration
+from gateway.robot.core.backlog import Stretch
 from gateway.robot.core.buttons import Buttons, Registration
 from gateway.robot.core.events import (
     BodyMeasured,
@@ -48,7 +49,7 @@ from gateway.robot.core.stops import Repeats, StopSchedule
 from gateway.robot.core.supervisor import Supervisor
 from schemas.calibration import CalibrationCommand
 from schemas.telemetry import Kind, Mode, Reason
-from tests.support.backlog_history import backlog_key
+from tests.support.backlog_history import Rhythm
 from tests.support.buttons_history import ButtonsHistory
 from tests.support.calibration_history import CalibrationHistory
 from tests.support.history import STOP_SERVOS, Violation, cloned, demand, numbered, speed_age_ns
@@ -85,13 +86,16 @@ _KNOWN: Final = (
     (_ROBOT.buttons, "_rules _legs _by_token closed alive due_ns objection down"),
     (_ROBOT.body, "_rules _legs watches low unknown closed beyond_ns objection"),
     (_ROBOT.power, "_rules _legs alive closed _refused"),
-    (_ROBOT.backlog, "_rules _legs _most _came_ns _until_ns held"),
+    (_ROBOT.backlog, "_rules _legs _stretches _judged_ns held"),
+    (_ROBOT.backlog, "_instant_ns _floor_ns _noted_ns"),  # so short a time excuses no message
+    (Stretch, "begun_ns last_ns count instant_ns room score servos"),
     (Registration, "name holder counts count until_ns silent offset_ns newest_ns least_ns"),
     (_ROBOT.legs.limits, "of_settings pose_of_settings avoid_cdeg calibration wire limited free_cdeg"),
     (_ROBOT.calibrating, "_rules _legs _limits fault saving"),
     (_ROBOT.legs, "_rules limits by_number _all servos gates _pace stops sends instant_ns landing_ends_ns"),
     (_ROBOT.legs, "due_ns at_rest"),  # these follow from the others: `take` sees to that
-    (_ROBOT.legs.gates, "supply stagger _gates"),
+    (_ROBOT.legs.gates, "supply stagger burst _gates"),
+    (_ROBOT.legs.gates.burst, "judged_ns"),
     (_ROBOT.legs.gates.supply, "_legs fed"),
     (_ROBOT.legs.gates.stagger, "pause_ns next_ns"),
     (_ROBOT.legs.stops, "_rules _legs _repeats _round_ns _settled_ns _runs_left runs"),
@@ -186,8 +190,9 @@ def copied(supervisor: Supervisor) -> Supervisor:
     legs.limits = other.calibrating._limits = cloned(supervisor.legs.limits)
     legs._pace = cloned(supervisor.legs._pace, _limits=legs.limits)
     backlog = supervisor.backlog
-    came_ns, until_ns = dict(backlog._came_ns), dict(backlog._until_ns)
-    other.backlog = cloned(backlog, _legs=legs, _came_ns=came_ns, _until_ns=until_ns, held=dict(backlog.held))
+    stretches = {key: replace(stretch) for key, stretch in backlog._stretches.items()}
+    judged_ns = legs.gates.burst.judged_ns = dict(backlog._judged_ns)
+    other.backlog = cloned(backlog, _legs=legs, _stretches=stretches, _judged_ns=judged_ns, held=dict(backlog.held))
     return other
 
 
@@ -231,9 +236,20 @@ def _body_key(supervisor: Supervisor, now_ns: int) -> tuple[object, ...]:
 
 def _backlog_key(supervisor: Supervisor, now_ns: int) -> tuple[object, ...]:
     """What of them still matters."""
-    backlog = supervisor.backlog
-    waiting = [leg.number for leg in supervisor.legs if leg.armed and not any(servo.running for servo in leg.servos)]
-    return backlog_key(backlog._rules, backlog._came_ns, backlog._until_ns, backlog.held, now_ns, waiting)
+    backlog, rules = supervisor.backlog, supervisor._rules
+    rhythms = {
+        key: Rhythm(each.begun_ns, each.last_ns, each.instant_ns, 0, each.count, each.score, each.servos).key(
+            now_ns, rules
+        )
+        for key, each in backlog._stretches.items()
+        if now_ns < each.last_ns + rules.quiet_ns
+    }
+    held = tuple(
+        (servo_id, now_ns - backlog.held[servo_id], judged_ns - now_ns)
+        for servo_id, judged_ns in backlog._judged_ns.items()
+        if supervisor.legs.servos[servo_id].will_run
+    )
+    return tuple(sorted(rhythms.items())), held
 
 
 def _calibration_key(calibration: RobotCalibration) -> tuple[object, ...]:

@@ -7,7 +7,7 @@ else does. It shares no state and no rules with `gateway/robot/core`, only the v
 
 from collections.abc import Sequence
 
-from gateway.model.frames import STOP, Op, stop_leg
+from gateway.model.frames import STOP, Op, servo_ids_of, stop_leg
 from gateway.robot.core.events import (
     BodyMeasured,
     BusFailed,
@@ -173,6 +173,7 @@ class Oracle(RobotHistory):
             expired == [stop_leg(leg) for leg in watchdog],
             f"legs not heard for the timeout, and those that too few buttons watch, are stopped: {watchdog}",
         )
+        self.judge_starts(now_ns)
         stops: frozenset[int] = frozenset()
         if isinstance(event, Command):
             stops = self._command(event, now_ns, effects)
@@ -308,7 +309,7 @@ class Oracle(RobotHistory):
 
     def _command(self, command: Command, now_ns: int, effects: Sequence[Effect]) -> frozenset[int]:
         """Whether it must be accepted, and what it then wants: of a rejected one, its Stops. Returns what it stops."""
-        self._lose(self.of_burst(self.backlog.comes(command, now_ns)))
+        self.backlog.comes(command, self.instant_ns, now_ns)
         reason, targets = self.reason_to_reject(command), command.targets
         reason = reason if command.rejected is None else command.rejected.reason
         named = tuple(target for target in targets if target[1].op is Op.STOP)
@@ -394,7 +395,7 @@ class Oracle(RobotHistory):
                 "nothing moves after an emergency stop or at the end",
             )
             leg.moved(now_ns, self.rules.period_ns)
-        held = self.held(leg_number)
+        ready = self.ungated(leg_number)
         for servo_id, op in transmit.frame.servos:
             servo = self.servos[servo_id]
             if op.op is Op.STOP:
@@ -403,14 +404,14 @@ class Oracle(RobotHistory):
                     ends or not servo.on, f"{servo_id} is stopped though nobody asked, or in a frame that moves others"
                 )
                 demand(
-                    servo.want is None or servo_id in held,
+                    servo.want is None or servo_id not in ready,
                     f"{servo_id} is stopped although a newer command wants it to move",
                 )
                 servo.rest(now_ns)
                 if ends:
                     self.owe((servo,), now_ns)
                 continue
-            demand(servo_id not in held, f"{servo_id} is started before the power board has confirmed that it feeds it")
+            demand(servo_id in ready, f"{servo_id} is started before its power and its messages allow it")
             demand(servo.on or op.op is Op.START, f"{servo_id} is set although it does not run")
             if servo.want is None and servo.bound_cdeg is None:
                 demand(op.op is Op.SET and op.angle_cdeg == servo.written_cdeg, f"nobody asked for {op} of {servo_id}")
@@ -432,6 +433,9 @@ class Oracle(RobotHistory):
     def _answers(self, effect: Completed | Rejected) -> None:
         replaced = self._answered(effect.request.number)
         waits = [servo for servo in self.servos.values() if servo.want and servo.want.number == effect.request.number]
+        late = isinstance(effect, Rejected) and effect.reason is Reason.STALE
+        own = isinstance(effect.request, Command) and effect.request.rejected is None
+        demand(not (late and own) or effect.request.number in self._lost, "nothing is late but what came in clumps")
         if isinstance(effect, Completed):
             demand(effect.request.number not in self._lost, "what the watchdog dropped is rejected")
             demand(not waits, "an answer comes after the frames")
@@ -464,7 +468,7 @@ class Oracle(RobotHistory):
             if self.landing is not None:
                 demand(now_ns < self.landing.ends_ns, "a landing ends in time")
                 latest.append(self.landing.ends_ns)
-            held = self.held(number)
+            held = [each for each in self.held(number) if not self.gated(each)]
             leg.unfed_ns = (now_ns if leg.unfed_ns is None else leg.unfed_ns) if held else None
             if leg.unfed_ns is not None:
                 demand(now_ns < leg.unfed_ns + self.rules.feed_ns, "a start that nobody feeds ends")
@@ -473,7 +477,10 @@ class Oracle(RobotHistory):
                 deadline_ns = (leg.commanded_ns or 0) + self.rules.timeout_ns
                 demand(now_ns < deadline_ns, "a leg without a command within the timeout is off")
                 latest.append(deadline_ns)
-            waits = [servo for each, servo in self.servos.items() if each // 10 == number and each not in held]
+            waits = [self.servos[each] for each in self.ungated(number)]
+            looks = [self.backlog.verdict(each, now_ns) for each in servo_ids_of(number) if self.gated(each)]
+            demand(not any(isinstance(each, bool) for each in looks), "a start that waits for others is judged in time")
+            latest += looks
             under_way = any(servo.want is not None or servo.bound_cdeg is not None for servo in waits)
             if under_way and not self.rules.start_pause_ns:
                 together = self.legs.values() if self.rules.starts_whole and not self.energised else (leg,)

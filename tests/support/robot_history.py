@@ -199,7 +199,7 @@ class RobotHistory:
             landing,
             others,
             self.power.key(),
-            self.backlog.key(now_ns, [number for number in self.legs if self.armed(number) and not self.runs(number)]),
+            self.backlog.key(now_ns, [each for each, servo in self.servos.items() if servo.starts and not servo.on]),
             self.bus_ok and self.rest_ns and max(0, self.rest_ns - now_ns),
             self.bus_ok and self.runs_left and (self.runs_left, max(0, self.settled_ns - now_ns)),
         )
@@ -250,7 +250,7 @@ class RobotHistory:
         for servo_id, servo in self.servos.items() if self.bus_ok else ():
             if servo.on:
                 found[servo_id] = None
-            elif servo.want is not None:
+            elif servo.want is not None and not self.gated(servo_id):
                 known = servo.want.angle_cdeg if servo.want.from_cdeg is None else servo.want.from_cdeg
                 found[servo_id] = self.calibration.wire_cdeg(servo_id, known)
         return found
@@ -286,11 +286,10 @@ class RobotHistory:
                 return Reason.SERVO_STOPPED
             if op.op is Op.SET and not servo.on and not servo.starts:
                 return Reason.SERVO_STOPPED
-        starts = {servo_id // 10 for _, servo_id, op in moves if op.op is Op.START}
         partly = 0 < len(moves) == len(command.targets) < len(self.servos)
         if self.rules.starts_whole and partly and not self.alive:
             return Reason.WHOLE_ROBOT
-        return Reason.STALE if self.backlog.is_of_burst(command) and not all(map(self.runs, starts)) else None
+        return None
 
     def reason_to_move_nothing(self, lease: str | None) -> Reason | None:
         if self.outside:
@@ -317,8 +316,8 @@ class RobotHistory:
 
     def named(self, transmit: Transmit, command: int) -> None:
         """A frame names the commands that it carries out, so that the answer of one that fails later names its leg."""
-        held = self.held(transmit.frame.leg)
-        says = [servo_id for servo_id, _ in transmit.frame.servos if servo_id not in held or transmit.frame.is_stop]
+        ready = self.ungated(transmit.frame.leg)
+        says = [servo_id for servo_id, _ in transmit.frame.servos if servo_id in ready or transmit.frame.is_stop]
         wants = {want.number for servo_id in says if (want := self.servos[servo_id].want)}
         named = {each.number for each in transmit.commands}
         demand(named >= {each.number for each in transmit.done}, "a frame completes what it carries out, if anything")
@@ -424,16 +423,33 @@ class RobotHistory:
 
     # ---- starts without a time
 
-    def of_burst(self, legs: Iterable[int]) -> set[int]:
-        """The commands whose starts of these legs wait, and are of a burst: they are rejected as a whole."""
-        wants = [servo.want for number in legs if not self.runs(number) for servo in self.servos_of(number)]
-        return {want.number for want in wants if want is not None}
+    def ungated(self, leg: int) -> list[int]:
+        """The servos of a leg whose starts, if any, wait for nothing but their turn."""
+        held = self.held(leg)
+        return [each for each in servo_ids_of(leg) if each not in held and not self.gated(each)]
+
+    def gated(self, servo_id: int) -> bool:
+        """Whether a servo's start waits for what may come after it."""
+        servo = self.servos[servo_id]
+        return servo.starts and not servo.on and servo_id in self.backlog.waiting_ns
 
     def hold_starts(self, command: Command, now_ns: int) -> None:
-        """An accepted command: a leg that does not run waits for what may come behind its start."""
-        for number in {servo_id // 10 for servo_id, op in command.targets if op.op is Op.START}:
-            if not self.runs(number) and self.backlog.starts(command, number, armed=self.armed(number)):
-                self.legs[number].held_until_ns = now_ns + self.rules.start_wait_ns
+        """An accepted command: a servo that does not run waits for what may come after its start."""
+        named = [servo_id for servo_id, op in command.targets if op.op is not Op.STOP]
+        for servo_id in self.servos if self.rules.starts_whole and named else named:
+            servo = self.servos[servo_id]
+            if not servo.on:
+                self.backlog.begins(servo_id, command, now_ns, waits=servo.starts)
+
+    def judge_starts(self, now_ns: int) -> None:
+        """Of the starts that wait so, those leave or are rejected whose time has come."""
+        backlogs: set[int] = set()
+        for servo_id, servo in self.servos.items():
+            verdict = self.backlog.verdict(servo_id, now_ns) if self.gated(servo_id) else None
+            if isinstance(verdict, bool):
+                del self.backlog.waiting_ns[servo_id]
+                backlogs |= {servo.want.number} if servo.want is not None and not verdict else set()
+        self._lose(backlogs)
 
     # ---- starts one after the other
 
@@ -454,7 +470,7 @@ class RobotHistory:
         starting = [
             leg.slot_ns(self.rules.period_ns)
             for number, leg in self.legs.items()
-            if any(s.starts and not s.on for s in self.servos_of(number)) and not self.held(number)
+            if any(self.servos[each].starts and not self.servos[each].on for each in self.ungated(number))
         ]
         if not starting or not self.rules.start_pause_ns:
             return []

@@ -74,6 +74,16 @@ def _rules(**changes: Any) -> Rules:
     return Rules(**{**defaults, **changes})
 
 
+_BURSTS: Final[dict[str, Any]] = {
+    "start_wait_ns": TICK,
+    "apart_ns": TICK // 2,
+    "silence_ns": 2 * TICK,
+    "proof_ns": 5 * TICK,
+    "quiet_ns": 4 * TICK,
+    "most_clumped": 4,
+}
+
+
 def _each(op: ServoOp, *servo_ids: int) -> Targets:
     return tuple((servo_id, op) for servo_id in servo_ids)
 
@@ -117,25 +127,25 @@ CONFIGURATIONS: Final = (
     Configuration("one servo, two channels", _rules(repeats=2), _ONE_SERVO, waits_ns=_WAITS, ends=True),
     Configuration(
         "one servo, starts without a time",
-        _rules(start_wait_ns=TICK, window_ns=2 * TICK),
+        _rules(**_BURSTS),
         (*(("leg", _each(op, 11)) for op in (START, SET, STOP)), ("leg with a time", _each(START, 11))),
         waits_ns=_WAITS,
     ),
     Configuration(
         "two legs, starts without a time",
-        _rules(start_wait_ns=TICK, window_ns=2 * TICK),
+        _rules(**_BURSTS),
         (("legs", _each(START, 11, 21)), ("leg", _each(START, 21)), ("leg with a time", _each(SET, 21))),
         waits_ns=(0, 2 * TICK),
     ),
     Configuration(
         "two legs that start as one, without a time",
-        _rules(start_wait_ns=TICK, window_ns=2 * TICK, starts_whole=True),
+        _rules(**_BURSTS, starts_whole=True),
         (("legs", _each(START, *_BOTH)), ("servo", _each(SET, 21)), ("servo", _each(STOP, 11))),
         waits_ns=(0, 2 * TICK),
     ),
     Configuration(
         "two legs, started one after the other without a time",
-        _rules(start_wait_ns=TICK, window_ns=2 * TICK, start_pause_ns=3 * TICK),
+        _rules(**_BURSTS, start_pause_ns=3 * TICK),
         (("legs", _each(START, 11, 21)), ("servo", _each(STOP, 11))),
         waits_ns=(0, 2 * TICK),
     ),

@@ -1,85 +1,171 @@
-"""Rejects starts that may come from a backlog. Pure: time is an argument.
+"""Distinguishes a live stream from a backlog, and delays starts that may belong to one. Pure: time is an argument.
 
-A link that stalls delivers a program's messages all at once, perhaps after the program has died. A command with
-`sent_ms` shows its delay (`model/staleness.py`); without, only the messages that arrive with it do. So a burst of
-messages without `sent_ms` on one key starts no stopped leg:
+A link that stalls delivers a program's messages later, perhaps after the program has died. A command with `sent_ms`
+shows its delay (`model/staleness.py`). Without it, only the rhythm of the messages does: a program's messages arrive
+one by one, a backlog's arrive in clumps, since a TCP segment contains several.
 
-- A start waits for `Rules.start_wait_ns` before its leg's first frame. Delayed messages after it arrive within that
-  time.
-- More messages of one key within `Rules.window_ns` than its rate allows are a burst. The key's waiting starts are
-  dropped, and further ones are rejected, until the watchdog's timeout has passed without a burst on the key: a link
-  that loses packets delivers a backlog in pieces.
+- Each key has a *score*. A message that arrives alone takes one away; each further message of the same moment adds
+  three. Messages without `sent_ms` count, also if they are rejected. After `Rules.quiet_ns` without one, the key
+  begins anew.
+- A start without `sent_ms` of a servo that does not run waits for `Rules.start_wait_ns`, and further while a key that
+  addresses the servo has a score. Newer messages replace the waiting start.
+- If the keys with a score fall silent, the start leaves if it belongs to three messages at most, and is rejected
+  otherwise. It is also rejected after `Rules.proof_ns`.
 
-Running legs take every command, and a Stop is always carried out.
+Running servos take every command, and a Stop is always carried out.
 """
 
+from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import Final
 
-from gateway.allowance import NS_PER_MS
-from gateway.model.frames import OP_START
+from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.robot.core.events import Command, Effect
-from gateway.robot.core.gates.rate import BUCKET
-from gateway.robot.core.leg import Leg
 from gateway.robot.core.legs import Legs
+from gateway.robot.core.message import Verb
 from gateway.robot.core.rules import Rules
+from gateway.robot.core.servo import WAITING, Servo
 from schemas.telemetry import Reason
 
 START_WAIT_NS: Final = 15 * NS_PER_MS
 """The frame of a lone start leaves within a rate slot of 50 Hz, with 5 ms for a timer that is late."""
+CLUMPED: Final = 3
+"""What a message of a clump adds: a stream may have one clumped message in four, and a backlog has at least two in
+five, since its segments contain more than one and a half messages."""
+FEW: Final = 3
+"""Up to this many messages of a key start a servo, even in a clump."""
+LEAST_PERIOD_NS: Final = NS_PER_MS
+"""Of the fastest stream, 1000 Hz."""
+BUSY_NS: Final = NS_PER_MS
+"""A reader that pauses for less between two instants counts as busy."""
+MOST_BUSY_NS: Final = 3 * NS_PER_MS
+_GET: Final = Verb.GET
+
+
+@dataclass(slots=True)
+class Stretch:
+    """A key's messages without `sent_ms`, with no silence between them."""
+
+    begun_ns: int
+    last_ns: int = 0
+    count: int = 0
+    instant_ns: int = -NS_PER_S
+    """The instant of the latest message."""
+    room: int = 0
+    """How many further messages of this instant may have arrived while the reader was busy."""
+    score: int = 0
+    servos: frozenset[int] = frozenset()
+    """The servos that they start or set."""
 
 
 class Backlog:
-    """The latest messages without `sent_ms` of each key, and the keys that have a burst."""
+    """The rhythm of each key's messages without `sent_ms`, and the starts that wait for its judgement."""
 
     def __init__(self, rules: Rules, legs: Legs) -> None:
         self._rules = rules
         self._legs = legs
-        self._most = max(BUCKET, BUCKET - 1 + rules.window_ns // rules.period_ns)
-        """The most messages that the rate limit allows in the window, with a full bucket."""
-        self._came_ns: dict[str, tuple[int, ...]] = {}
-        self._until_ns: dict[str, int] = {}
-        self.held: dict[int, str] = {}
-        """Legs that wait for a start without `sent_ms`, each with the key of that start."""
+        self._judged_ns = legs.gates.burst.judged_ns
+        self._stretches: dict[str, Stretch] = {}
+        self._instant_ns = self._floor_ns = self._noted_ns = 0
+        self.held: dict[int, int] = {}
+        """Servos whose starts wait, and since when (ns)."""
 
-    def note(self, command: Command, now_ns: int) -> list[Effect]:
-        """Count a command without `sent_ms`. If it belongs to a burst, drop its key's waiting starts."""
-        if not self._rules.start_wait_ns or not command.moves:
-            return []
-        key = command.key
-        came_ns = self._came_ns.get(key, ())
-        self._came_ns[key] = (*came_ns, now_ns)[-self._most :]
-        if len(came_ns) < self._most or now_ns - came_ns[0] >= self._rules.window_ns:
-            return []
-        self._until_ns[key] = now_ns + self._rules.timeout_ns
-        legs = [self._legs.by_number[number] for number, held in self.held.items() if held == key]
-        waiting = [servo for leg in legs if not leg.runs for servo in leg.servos]
-        return self._legs.drop(waiting, Reason.STALE, _why(key))
+    def note(self, command: Command, now_ns: int) -> None:
+        """Count a command without `sent_ms`: does it arrive alone, or in a clump?
 
-    def rejection(self, command: Command, now_ns: int) -> tuple[Reason, str] | None:
-        """Return why a command without `sent_ms` is rejected (a burst would start a stopped leg), or None."""
-        if now_ns >= self._until_ns.get(command.key, now_ns):
-            return None
-        return (Reason.STALE, _why(command.key)) if self._starting(command) else None
+        While the reader is busy, messages wait for it, and those of one instant have arrived since the instant before.
+        """
+        rules, instant_ns = self._rules, self._legs.instant_ns
+        if not rules.start_wait_ns or not command.moves:
+            return
+        if instant_ns != self._instant_ns:
+            busy = instant_ns - self._noted_ns < BUSY_NS
+            self._floor_ns = max(self._instant_ns, instant_ns - MOST_BUSY_NS) if busy else instant_ns
+            self._instant_ns = instant_ns
+        self._noted_ns = now_ns
+        stretch = self._stretches.get(command.key)
+        if stretch is None or now_ns - stretch.last_ns >= rules.quiet_ns:
+            stretch = self._stretches[command.key] = Stretch(now_ns)
+        stretch.last_ns = now_ns
+        stretch.count += 1
+        stretch.servos = stretch.servos.union([servo_id for servo_id, _ in command.moves])
+        since_ns, stretch.instant_ns = stretch.instant_ns, instant_ns
+        if since_ns != instant_ns:
+            stretch.room = (instant_ns - self._floor_ns) // LEAST_PERIOD_NS if since_ns >= self._floor_ns else 0
+            # A program that waits for each answer may be faster than a stream.
+            alone = instant_ns - since_ns >= rules.apart_ns or command.verb is _GET
+        else:
+            alone, stretch.room = stretch.room > 0, stretch.room - 1
+        if alone:
+            stretch.score = max(0, stretch.score - 1)
+        else:
+            stretch.score = min(rules.most_clumped, stretch.score + CLUMPED)
 
     # mutants accepted (Forget): without a waiting start both do nothing
     def hold(self, command: Command, now_ns: int) -> None:
-        """Delay the legs that an accepted command starts without `sent_ms`. With `sent_ms`, end their delay."""
+        """Delay the starts of an accepted command without `sent_ms`. With `sent_ms`, end their delay."""
         if not self._rules.start_wait_ns:
             return
-        self.held = {number: key for number, key in self.held.items() if not self._legs.by_number[number].runs}
-        for leg in self._starting(command):
-            if command.sent_ms is not None:
-                self.held.pop(leg.number, None)
-            elif not leg.armed:
-                self.held[leg.number] = command.key
-                leg.slots.wait_until(now_ns + self._rules.start_wait_ns)
+        legs = self._legs
+        servos: Iterable[Servo] = [legs.servos[servo_id] for servo_id, _ in command.moves]
+        if self._rules.starts_whole and command.moves:  # all servos start in one step
+            servos = legs.servos.values()
+        released_ns = now_ns - self._rules.silence_ns  # one that waits for its power, for instance
+        for servo in servos:
+            since_ns = self.held.pop(servo.servo_id, released_ns) if servo.life is WAITING else now_ns
+            self._judged_ns.pop(servo.servo_id, None)
+            again_ns = None
+            if command.sent_ms is None and not servo.running:
+                again_ns, _ = self._judge(servo, since_ns, now_ns)
+            if again_ns is not None:
+                self.held[servo.servo_id] = since_ns
+                self._judged_ns[servo.servo_id] = max(again_ns, now_ns + 1)  # not rejected in this step
 
-    def _starting(self, command: Command) -> list[Leg]:
-        numbers = dict.fromkeys(servo_id // 10 for servo_id, op in command.moves if op.op is OP_START)
-        return [leg for leg in map(self._legs.by_number.__getitem__, numbers) if not leg.runs]
+    def expire(self, now_ns: int) -> list[Effect]:
+        """Release the starts that have waited long enough, and reject those that belong to a backlog."""
+        late: dict[Servo, str] = {}
+        for servo_id, judged_ns in [*self._judged_ns.items()]:
+            servo, again_ns, key = self._legs.servos[servo_id], None, ""
+            if servo.life is WAITING:
+                again_ns = judged_ns
+                if now_ns >= judged_ns:
+                    again_ns, key = self._judge(servo, self.held[servo_id], now_ns)
+            if again_ns is not None and again_ns > now_ns:
+                self._judged_ns[servo_id] = again_ns
+                continue
+            del self._judged_ns[servo_id], self.held[servo_id]
+            if again_ns is not None:
+                late[servo] = key
+        effects: list[Effect] = []
+        for key in dict.fromkeys(late.values()):
+            effects += self._legs.drop([each for each in late if late[each] == key], Reason.STALE, self._why(key))
+        return effects
 
+    def _judge(self, servo: Servo, since_ns: int, now_ns: int) -> tuple[int | None, str]:
+        """Return when to judge a waiting start again (None: it leaves; not later than now: it is rejected).
 
-def _why(key: str) -> str:
-    return (
-        f"more messages came on {key} at once than its rate allows, so they were delayed; send sent_ms, or start again"
-    )
+        With it comes the key that is to blame.
+        """
+        rules = self._rules
+        found = [
+            (each, key)
+            for key, each in self._stretches.items()
+            if now_ns - each.last_ns < rules.quiet_ns and (rules.starts_whole or servo.servo_id in each.servos)
+        ]
+        more = any(each.last_ns > since_ns for each, _ in found)
+        wait_ns = since_ns + (rules.silence_ns if more else rules.start_wait_ns)
+        wait_ns = max([wait_ns, *(each.begun_ns + rules.start_wait_ns for each, _ in found)])
+        clumped = [(each.count, each.last_ns, key) for each, key in found if each.score]
+        if now_ns < wait_ns or not clumped:
+            return (wait_ns, "") if now_ns < wait_ns else (None, "")
+        most, _, key = max(clumped)
+        silent_ns = max(last_ns for _, last_ns, _ in clumped) + rules.silence_ns
+        if now_ns >= silent_ns and most <= FEW:
+            return None, key
+        return min(silent_ns, since_ns + rules.proof_ns), key
+
+    def _why(self, key: str) -> str:
+        return (
+            f"the messages on {key} arrive in clumps, as after a delay; send sent_ms, or "
+            f"wait {self._rules.quiet_ns // NS_PER_MS} ms"
+        )

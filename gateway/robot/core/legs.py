@@ -92,7 +92,7 @@ class Legs:
     def _leg_due_ns(self, leg: Leg, now_ns: int, *, runs: bool) -> int:
         """Return when the next deadline or frame of a leg that is not at rest is due."""
         if self.gates.supply.fed is not None:
-            held = any(map(self.gates.supply.holds, leg.servos))
+            held = any(self.gates.supply.holds(each) and not self.gates.burst.holds(each) for each in leg.servos)
             if not held or leg.unfed_ns is None:
                 leg.unfed_ns = now_ns if held else None
         due_ns, slot_ns = NEVER, leg.slots.next_ns
@@ -105,6 +105,8 @@ class Legs:
         for servo in leg.servos:
             if servo.target is not None:
                 opens_ns = slot_ns if servo.life is RUNNING else max(slot_ns, self.gates.opens_ns(servo))
+                if self.gates.burst.holds(servo):
+                    opens_ns = self.gates.burst.opens_ns(servo)  # it is judged then
                 due_ns = opens_ns if opens_ns < due_ns else due_ns
         return due_ns
 
@@ -281,7 +283,7 @@ class Legs:
         for servo_id, servo in self.servos.items() if self.sends else ():
             if servo.life is RUNNING:
                 found[servo_id] = None
-            elif servo.target is not None:
+            elif servo.target is not None and not self.gates.burst.holds(servo):
                 angle_cdeg = servo.target.angle_cdeg if servo.from_cdeg is None else servo.from_cdeg
                 found[servo_id] = self.limits.calibration.of(servo_id).wire_cdeg(angle_cdeg)
         return found

@@ -29,9 +29,20 @@ class Rules:
     period_ns: int = NS_PER_S // 50
     start_pause_ns: int = 0
     start_wait_ns: int = 0
-    """How long a start without `sent_ms` waits for later messages (*Bursts without `sent_ms`*); 0: no detection."""
-    window_ns: int = 20 * NS_PER_MS
-    """The time in which a burst is counted (`core/backlog.py`)."""
+    """How long a start without `sent_ms` waits for later messages (*Bursts without `sent_ms`*); 0: no detection.
+
+    `core/backlog.py` uses this and the next five.
+    """
+    apart_ns: int = 400_000
+    """Two messages of a key that are this far apart do not arrive in a clump: at 1000 Hz they are 1 ms apart."""
+    silence_ns: int = 40 * NS_PER_MS
+    """A key without a message for this long is silent: at 1 Mbit/s, a backlog's segments are 11.6 ms apart."""
+    proof_ns: int = 400 * NS_PER_MS
+    """How long a start waits for evenly arriving messages at most."""
+    quiet_ns: int = 250 * NS_PER_MS
+    """After a silence of this length, a key begins anew: TCP repeats a lost segment after 200 ms."""
+    most_clumped: int = 12
+    """The highest score. A stream loses it in 12 messages: 240 ms at 50 Hz."""
     unnumbered_reset_ns: int = 2 * NS_PER_S
     """The least age of an emergency stop for a reset without a number (Behaviour *Emergency stop*)."""
     joint_limits_cdeg: dict[int, tuple[int, int]] = field(default_factory=dict)

@@ -173,6 +173,8 @@ class Supervisor:
         self.watchdog.closed = legs.landing_ends_ns is not None
         if halt is not None:
             effects += self._stop_all(halt, now_ns)
+        if self.backlog.held:
+            effects += self.backlog.expire(now_ns)
         effects += self._take(event, now_ns) if own is None else self._take_own(own, event, now_ns)
         if due:
             effects += legs.stops.repeat(now_ns, at_rest=legs.at_rest)
@@ -214,7 +216,7 @@ class Supervisor:
             if token is not None:
                 lease.record_use(token, now_ns)
             if command.sent_ms is None:
-                effects = [*self.backlog.note(command, now_ns), *effects]
+                self.backlog.note(command, now_ns)
         return effects
 
     def _mode_now(self) -> Mode:
@@ -259,23 +261,21 @@ class Supervisor:
         return effects
 
     def _command(self, command: Command, now_ns: int) -> list[Effect]:
-        rejected, dropped = command.rejected, list[Effect]()
+        rejected = command.rejected
         if rejected is None:
-            timed = command.sent_ms is not None
-            dropped = dropped if timed else self.backlog.note(command, now_ns)
+            if command.sent_ms is None:
+                self.backlog.note(command, now_ns)
             rejection = self._why_not(command) or self._why_not_moved(command)
-            rejection = rejection or (None if timed else self.backlog.rejection(command, now_ns))
             if rejection is None:
                 if command.lease is not None:
                     self.lease.record_use(command.lease, now_ns)
-                if not timed or self.backlog.held:
+                if command.sent_ms is None or self.backlog.held:
                     self.backlog.hold(command, now_ns)
                 effects = self.legs.apply(command, now_ns)
-                return [*dropped, *effects, *self.legs.take_slots(now_ns)] if dropped else effects
+                whole = self._rules.starts_whole and command.moves  # it may have released other legs' starts
+                return [*effects, *self.legs.take_slots(now_ns)] if whole else effects
             rejected = Rejected(command, *rejection)
-        sends = self.legs.sends
-        stops = self.legs.stop_for(command, rejected, now_ns, write=not self._ended) if sends else [rejected]
-        return [*dropped, *stops]
+        return self.legs.stop_for(command, rejected, now_ns, write=not self._ended) if self.legs.sends else [rejected]
 
     def _why_not(self, request: Barred) -> Why | None:
         kind = type(request)

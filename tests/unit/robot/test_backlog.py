@@ -1,62 +1,261 @@
-"""Starts without `sent_ms` that a link has held back: of a burst, a leg that does not run takes none."""
+"""Starts without `sent_ms`: ordinary programs run, and what a link has held back starts nothing."""
 
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import product
+from random import Random
 from typing import Final
 
+import pytest
+
 from gateway.allowance import NS_PER_MS
+from gateway.model.frames import Op
 from gateway.robot.core.backlog import START_WAIT_NS
+from gateway.robot.core.message import Verb
+from gateway.robot.core.rules import Rules
+from schemas.keys import LEGS_COMMAND, leg_command, servo_command
+from schemas.robot import LEGS
+from tests.support.arrivals import Arrival, Robot, delivered
 from tests.support.scenes import play, scene_test
 
 RULES: Final = f"rules start_wait_ms={START_WAIT_NS / NS_PER_MS}\n"
 STAGGERED: Final = RULES.replace("rules", "rules start_pause_ms=50,")
+KEYS: Final[dict[str, list[str]]] = {
+    "legs": [LEGS_COMMAND],
+    "one leg": [leg_command(1)],
+    "six legs": [leg_command(leg) for leg in LEGS],
+    "a servo": [servo_command(11)],
+    "three servos": [servo_command(each) for each in (11, 12, 13)],
+    "a servo of each leg": [servo_command(10 * leg + 1) for leg in LEGS],
+}
+RATES_HZ: Final = [50, 200, 1000, *(pytest.param(each, marks=pytest.mark.full) for each in (100, 150, 300, 500))]
+ALL_KEYS: Final = [pytest.param(each, marks=() if each in ("legs", "one leg") else pytest.mark.full) for each in KEYS]
+HALF_A_SECOND: Final = 500
+
+# ---- ordinary programs
 
 
-def test_the_fourth_message_in_one_slot_is_a_burst_and_no_start_of_it_is_ever_sent() -> None:
-    play(f"""{RULES}
-        100 leg 1 start 90
-        101 leg 1 start 90
-        102 leg 1 start 90
-        103 leg 1 start 90 → rejected 3 stale; rejected 4 stale
-        due never
-        200 leg 1 start 90 → rejected 5 stale
-        353 leg 1 start 90 → nothing  # the watchdog's time has passed without a burst
-        368 time → command 1 start 90; completed 6""")
+def stream(
+    keys: Sequence[str], rate_hz: float, *, starts: bool, verb: Verb = Verb.PUT, jitter_ms: float = 0.0
+) -> Iterator[Arrival]:
+    """A second of a program's messages: starts, or a start and then sets."""
+    random = Random(rate_hz)  # noqa: S311  (a test's)
+    for number in range(round(rate_hz)):
+        op = Op.START if starts or number == 0 else Op.SET
+        at_ms = max(0.0, number * 1000 / rate_hz + random.uniform(-jitter_ms, jitter_ms))
+        yield from (Arrival(at_ms, key, op, verb) for key in keys)
+
+
+def batched(arrivals: Iterable[Arrival]) -> list[Arrival]:
+    """As Zenoh sends them without `express` on a busy link: what comes within a millisecond leaves together."""
+    return [each._replace(at_ms=float(-(-each.at_ms // 1))) for each in arrivals]
+
+
+def runs(robot: Robot) -> None:
+    """Demand that each leg that was commanded runs within half a second, with 50 frames a second from then on."""
+    legs = {leg for _, leg in robot.frames}
+    for leg in legs:
+        frames = [at_ms for at_ms, of_leg in robot.frames if of_leg == leg]
+        assert frames[0] <= HALF_A_SECOND
+        assert len([at_ms for at_ms in frames if at_ms >= HALF_A_SECOND]) >= 0.96 * 50 * (1000 - HALF_A_SECOND) / 1000
+    assert robot.commanded == legs
+
+
+@pytest.mark.parametrize("rate_hz", RATES_HZ)
+@pytest.mark.parametrize("keys", ALL_KEYS)
+def test_a_stream_runs_within_half_a_second_and_gets_its_frames(keys: str, rate_hz: float) -> None:
+    for starts, verb in product((True, False), (Verb.PUT, Verb.GET)):
+        for express in (True, False):
+            arrivals = [*stream(KEYS[keys], rate_hz, starts=starts, verb=verb, jitter_ms=0.2)]
+            runs(Robot(Rules(start_wait_ns=START_WAIT_NS)).run(arrivals if express else batched(arrivals), 1000))
+
+
+@pytest.mark.parametrize(
+    "pauses",
+    [
+        pytest.param([(5, 25)], id="once, as it starts"),
+        pytest.param([(at, at + 15) for at in range(3, 1000, 97)], id="15 ms, ten times a second"),
+        pytest.param([(at, at + 5) for at in range(1, 1000, 41)], id="5 ms, 24 times a second"),
+    ],
+)
+@pytest.mark.parametrize("rate_hz", [200, 1000])
+@pytest.mark.parametrize("keys", ["one leg", "six legs"])
+def test_a_machine_that_is_busy_delays_no_start_beyond_that(
+    keys: str, rate_hz: float, pauses: list[tuple[float, float]]
+) -> None:
+    """The reader finds several messages at once after each pause, as if a link had held them back."""
+    for starts in (True, False):
+        arrivals = stream(KEYS[keys], rate_hz, starts=starts, jitter_ms=0.2)
+        runs(Robot(Rules(start_wait_ns=START_WAIT_NS), pauses=pauses).run(arrivals, 1000))
+
+
+# ---- what a link has held back
+
+
+def held_back(keys: Sequence[str], rate_hz: int, stall_ms: int, *, starts: bool) -> Iterator[Arrival]:
+    """The messages that a program has sent during a stall."""
+    for number in range(rate_hz * stall_ms // 1000):
+        op = Op.START if starts or number == 0 else Op.SET
+        yield from (Arrival(0, key, op) for key in keys)
+
+
+@pytest.mark.parametrize("mbit_s", [0, 20, 2, 1])
+@pytest.mark.parametrize("keys", ALL_KEYS)
+def test_a_dead_programs_backlog_starts_nothing(keys: str, mbit_s: float) -> None:
+    """Streams of 50 to 200 Hz, held back for 0.4 to 3 s; 0 Mbit/s: delivered at once."""
+    for rate_hz, stall_ms, starts in product((50, 100, 200), (400, 1000, 3000), (True, False)):
+        sent = held_back(KEYS[keys], rate_hz, stall_ms, starts=starts)
+        robot = Robot(Rules(start_wait_ns=START_WAIT_NS)).run(delivered(sent, mbit_s), 6000)
+        assert not robot.frames, (rate_hz, stall_ms, starts)
+        assert {each.reason for _, each in robot.rejected} <= {"stale", "servo_stopped"}
+
+
+@pytest.mark.parametrize("settings", ["start_pause_ns=50", "takeover", "lease", "whole"])
+def test_with_other_rules_it_starts_nothing_either(settings: str) -> None:
+    changes = {
+        "start_pause_ns=50": Rules(start_wait_ns=START_WAIT_NS, start_pause_ns=50 * NS_PER_MS),
+        "takeover": Rules(start_wait_ns=START_WAIT_NS, takeover_cdeg_s=180_00),
+        "lease": Rules(start_wait_ns=START_WAIT_NS, lease_ttl_ns=100 * NS_PER_MS),
+        "whole": Rules(start_wait_ns=START_WAIT_NS, starts_whole=True),
+    }
+    for mbit_s in (0, 20, 2, 1):
+        sent = held_back(KEYS["legs"], 100, 1000, starts=True)
+        assert not Robot(changes[settings]).run(delivered(sent, mbit_s), 3000).frames
+
+
+def test_a_live_stream_after_its_own_backlog_runs_within_half_a_second() -> None:
+    late = [*delivered(held_back([leg_command(1)], 50, 1000, starts=True), 2)]
+    ends_ms = late[-1].at_ms
+    live = [each._replace(at_ms=ends_ms + 20 + each.at_ms) for each in stream([leg_command(1)], 50, starts=True)]
+    robot = Robot(Rules(start_wait_ns=START_WAIT_NS)).run([*late, *live], 2000)
+    assert ends_ms < robot.frames[0][0] <= ends_ms + 20 + HALF_A_SECOND
+
+
+@pytest.mark.parametrize(
+    ("fresh", "delayed"),
+    [
+        (servo_command(11), servo_command(12)),
+        (servo_command(11), leg_command(1)),
+        (servo_command(11), LEGS_COMMAND),
+        (leg_command(1), servo_command(12)),
+        (leg_command(1), leg_command(2)),
+        (leg_command(1), LEGS_COMMAND),
+        (LEGS_COMMAND, leg_command(2)),
+        (LEGS_COMMAND, servo_command(12)),
+    ],
+)
+@pytest.mark.parametrize("after_ms", [2, 14, 200])
+@pytest.mark.parametrize("mbit_s", [0, 1])
+def test_beside_a_fresh_start_on_another_key_a_backlog_starts_nothing(
+    fresh: str, delayed: str, after_ms: float, mbit_s: float
+) -> None:
+    """Once the fresh ones run, they take every command."""
+    sent = delivered([Arrival(0, delayed, Op.START)] * 8, mbit_s)
+    backlog = [each._replace(at_ms=after_ms + each.at_ms) for each in sent]
+    robot = Robot(Rules(start_wait_ns=START_WAIT_NS)).run([Arrival(0, fresh, Op.START), *backlog], 1000)
+    its, others = robot.servos_of(fresh), robot.servos_of(delayed)
+    assert robot.started == (its if backlog[0].at_ms > START_WAIT_NS / NS_PER_MS else its - others)
 
 
 SCENES: Final = {
-    "a lone start leaves within one slot with the newest angle": f"""{RULES}
+    "a lone start leaves within one slot": f"""{RULES}
+        100 leg 1 start 90 → nothing
+        due 115
+        115 time → command 1 start 90; completed 1""",
+    "the newest angle of a stream leaves after 40 ms": f"""{RULES}
         100 leg 1 start 90 → nothing
         110 leg 1 set 80 → completed 1 coalesced
-        due 115
-        115 time → command 1 start 80; completed 2""",
-    "a message behind the window is of no burst": f"""{RULES}
-        100 leg 1 start 90 → nothing
-        105 leg 1 start 90 → completed 1 coalesced
-        110 leg 1 start 90 → completed 2 coalesced
-        120 leg 1 start 90 → completed 3 coalesced; command 1 start 90; completed 4""",
-    "sets are of the burst too and a start before them is dropped": f"""{RULES}
-        100 leg 6 start 90
-        101 leg 6 set 90
-        102 leg 6 set 90
-        103 leg 6 set 90 → rejected 3 stale; rejected 4 servo_stopped""",
-    "at 200 Hz the seventh message in 20 ms is one too many": f"""{RULES.replace("rules", "rules period_ms=5,")}
-        100 leg 6 start 90
-        101 leg 6 set 90
-        102 leg 6 set 90
-        103 leg 6 set 90
-        104 leg 6 set 90
-        105 leg 6 set 90 → completed 5 coalesced
-        106 leg 6 set 90 → rejected 6 stale; rejected 7 servo_stopped""",
-    "a start that waits for later messages keeps no other leg waiting": f"""{STAGGERED}
-        50 leg 2 start 90
-        65 time
-        120 leg 1 start 90
-        121 timed leg 3 start 90 → command 3 start 90; completed 99""",
-    "a stop of a burst is a stop": f"""{RULES}
+        130 leg 1 set 70 → completed 2 coalesced
+        due 140
+        140 time → command 1 start 70; completed 3""",
+    "of three messages at once the last one starts the leg": f"""{RULES}
         100 leg 1 start 90
-        101 leg 1 start 90
-        102 leg 1 start 90
-        103 leg 1 start 90
-        104 leg 1 start 90 + leg 2 stop → command 2 stop; rejected 5 stale stopped
-        105 leg 1 stop → command 1 stop; completed 6""",
+        100 leg 1 set 80
+        100 leg 1 set 70 → completed 2 coalesced
+        139 pass → nothing
+        140 time → command 1 start 70; completed 3""",
+    "of four messages at once none starts it": f"""{RULES}
+        100 leg 1 start 90
+        100 leg 1 set 80
+        100 leg 1 set 70
+        100 leg 1 set 60 → completed 3 coalesced
+        139 pass → nothing
+        140 time → rejected 4 stale
+        due never
+        349 leg 1 start 90 → nothing
+        388 pass → nothing
+        389 time → rejected 5 stale
+        599 leg 1 start 90 → nothing  # nothing came for 250 ms
+        614 time → command 1 start 90; completed 6""",
+    "clumps that go on are rejected after 400 ms": f"""{RULES}
+        100 leg 1 start 90
+        100 leg 1 start 90
+        130 leg 1 start 90
+        130 leg 1 start 90
+        160 leg 1 start 90
+        160 leg 1 start 90
+        190 leg 1 start 90
+        190 leg 1 start 90
+        220 leg 1 start 90
+        220 leg 1 start 90
+        250 leg 1 start 90
+        250 leg 1 start 90
+        280 leg 1 start 90
+        280 leg 1 start 90
+        310 leg 1 start 90
+        310 leg 1 start 90
+        340 leg 1 start 90
+        340 leg 1 start 90
+        370 leg 1 start 90
+        370 leg 1 start 90
+        400 leg 1 start 90
+        400 leg 1 start 90
+        430 leg 1 start 90
+        430 leg 1 start 90
+        460 leg 1 start 90
+        460 leg 1 start 90
+        490 leg 1 start 90
+        490 leg 1 start 90 → completed 27 coalesced
+        500 time → rejected 28 stale""",
+    "a start that waits for its judgement keeps no other leg waiting": f"""{STAGGERED}
+        100 leg 2 start 90 (key two)
+        100 leg 2 start 90 (key two)
+        101 timed leg 3 start 90 → command 3 start 90; completed 99""",
+    "with staggered starts a Stop of another leg ends it": f"""{STAGGERED}
+        100 leg 2 start 90
+        101 servo 31 stop (key three) → command 31 stop; completed 2; rejected 1 servo_stopped""",
+    "a stop of a clump is a stop": f"""{RULES}
+        100 leg 1 start 90
+        100 leg 1 start 90
+        100 leg 1 start 90 + leg 2 stop → command 2 stop; completed 2 coalesced
+        100 leg 1 stop → command 1 stop; completed 3 coalesced; completed 4""",
+    "a servo beside one that runs waits, too": f"""{RULES}
+        100 servo 11 start 90 (key a)
+        115 time → command 11 start 90; completed 1
+        120 servo 12 start 80 (key b) → nothing
+        120 servo 12 start 80 (key b)
+        120 servo 12 start 80 (key b)
+        120 servo 12 start 80 (key b)
+        159 pass → nothing
+        160 time → rejected 5 stale""",
 }
 test_a_scene = scene_test(SCENES)
+
+
+def test_a_rejection_ends_with_how_long_to_wait() -> None:
+    scenes = play(f"{RULES}\n" + "\n".join(["100 leg 1 start 90"] * 4) + "\n140 time")
+    assert scenes.detail.endswith("wait 250 ms")
+
+
+def test_a_program_that_waits_for_each_answer_runs() -> None:
+    """Four sets are rejected, each within 0.3 ms, and then it starts."""
+    key = leg_command(1)
+    sets = [Arrival(each * 0.3, key, Op.SET, Verb.GET) for each in range(12)]
+    robot = Robot(Rules(start_wait_ns=START_WAIT_NS), each_ms=0.05, wake_ms=0.05)
+    robot.run([*sets, Arrival(3.6, key, Op.START, Verb.GET)], 300)
+    assert [leg for _, leg in robot.frames] == [1]
+
+
+def test_a_start_that_waits_for_its_judgement_gets_no_power() -> None:
+    robot = Robot(Rules(start_wait_ns=START_WAIT_NS, power=True, feed_ns=1800 * NS_PER_MS))
+    robot.run(delivered(held_back([leg_command(1)], 100, 1000, starts=True), 0), 30)
+    assert robot.supervisor.legs.to_feed() == {}

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Protocol
 
+from gateway.robot.core.gates.burst import BurstGate
 from gateway.robot.core.gates.stagger import Stagger
 from gateway.robot.core.gates.supply import PowerGate
 from gateway.robot.core.gates.whole import WholeGate
@@ -24,7 +25,9 @@ class Gates:
     def __init__(self, rules: Rules, legs: Mapping[int, Leg]) -> None:
         self.supply = PowerGate(rules, legs)
         self.stagger = Stagger(rules.start_pause_ns)
-        self._gates: tuple[Gate, ...] = (self.supply, self.stagger, *([WholeGate(legs)] if rules.starts_whole else []))
+        self.burst = BurstGate()
+        whole = [WholeGate(legs)] if rules.starts_whole else []
+        self._gates: tuple[Gate, ...] = (self.burst, self.supply, self.stagger, *whole)
 
     def opens_ns(self, servo: Servo) -> int:
         """Return when this waiting servo may start, apart from its leg's rate slot (ns); NEVER: not as things are."""
