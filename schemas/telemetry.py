@@ -255,6 +255,9 @@ class CommandCounts(Report):
     coalesced: Annotated[Count, Field(description="accepted, then replaced before the frame was written")]
     overflows: Annotated[Count, Field(description="times that messages of one key were lost before they were read")] = 0
     lost: Annotated[Count, Field(description="messages lost in these, at least")] = 0
+    passed_over: Annotated[
+        Count, Field(description="messages displaced by newer ones of the same key before they were read one by one")
+    ] = 0
 
 
 class SpiConfig(Report):

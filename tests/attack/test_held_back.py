@@ -48,3 +48,21 @@ def test_no_stop_among_what_was_held_back_is_lost(tmp_path: Path, key: str) -> N
             laptop.state()  # on the same link, behind all that was held back
             assert not laptop.set_leg(3, *POSE, check=False).accepted, f"it runs, and the {place}th was a Stop"
         assert not [event for event in heard.all if event.kind == Kind.OVERFLOW]
+
+
+@pytest.mark.parametrize(("count", "exact"), [(30, True), (55, True), (2000, False)])
+def test_each_message_is_counted_once(tmp_path: Path, count: int, exact: bool) -> None:
+    """If a ring overflows, the counter of lost messages is a lower bound."""
+    key = keys.leg_command(3)
+    with Gateway(tmp_path) as gateway, CutLink(gateway.endpoint) as link, Client(link.endpoint) as laptop:
+        link.hold()
+        for _ in range(count):
+            laptop.session.put(
+                key, json.dumps(SENT[key][0]), express=True, congestion_control=zenoh.CongestionControl.BLOCK
+            )
+        link.fix()
+        assert not laptop.set_leg(3, *POSE, check=False).accepted  # on the same link, after all that was held back
+        counts = laptop.state().commands
+        counted = counts.accepted + counts.rejected + counts.passed_over + counts.lost
+        assert counted == count + 1 if exact else count >= counted
+        assert exact or counts.passed_over + counts.lost > 0

@@ -44,6 +44,7 @@ WALL_NS = 1_790_000_000_123_456_789
 class Robot:
     """One conductor and its controller. Make it inside a running (virtual) loop."""
 
+    passed_over = 0
     start_wait_ns = 0
     """Starts without `sent_ms` leave at once, unless a test is about bursts of them; legs wait for no other, either."""
 

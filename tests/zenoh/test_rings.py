@@ -244,3 +244,12 @@ def test_a_full_ring_may_have_lost_a_stop(lost: int, depth: int) -> None:
 
 def test_a_get_that_is_lost_is_not_answered_and_stops_nothing() -> None:
     assert None not in thinned([(START, 13)] * 100, "get")
+
+
+@pytest.mark.parametrize("count", [1, RING_DEPTH, RING_DEPTH + 1, 30, 57])
+def test_what_newer_messages_displace_is_counted(count: int) -> None:
+    """Of equal Stops the last one is kept; all others that are not returned are passed over."""
+    for items in ([(START, 13)] * count, [(STOP, 11)] * count):
+        due = deque((0, Message(LEG, "put", op, (servo_id,))) for op, servo_id in items)
+        rings = ReadRings(Deliveries(due, depth=58)).rings
+        assert len(rings.read([LEG])) + rings.passed_over == count

@@ -75,7 +75,8 @@ def sentences(state: GatewayState) -> list[str]:
     alarm.received_state(state, 0)
     found.append(f"{asked['power']} {alarm.sentence}".strip())
     found.append(
-        f"Commands accepted: {state.commands.accepted}, rejected: {state.commands.rejected}; "
+        f"Commands accepted: {state.commands.accepted}, rejected: {state.commands.rejected}, "
+        f"passed over: {state.commands.passed_over}, lost: {state.commands.lost}; "
         f"legs stopped by the watchdog ({watchdog.timeout_ms:g} ms): {watchdog.expirations}."
     )
     found += (asked["address"], asked["certificate"])

@@ -58,6 +58,10 @@ class Messages(Protocol):  # mutants accepted (RemoveDecorator): for the type ch
     """Emergency stops that are not carried out yet. The state's owner empties this queue before each message."""
 
     @property
+    def passed_over(self) -> int:
+        """How many messages newer ones of their key have displaced before they were read one by one."""
+
+    @property
     def instant_open(self) -> bool:
         """Whether the next messages are of the same instant as the last."""
 
@@ -69,6 +73,7 @@ class NoMessages:  # mutants accepted (FalseWithTrue): nothing is taken before t
     """No messages: stands in before the inbox is connected."""
 
     instant_open = False
+    passed_over = 0
 
     def __init__(self) -> None:
         self.estops = deque[Received]()

@@ -156,6 +156,7 @@ class Conductor:
             self._serve_estops(instant_ns)
             self._receive(received, instant_ns)
             self._do_what_is_due(instant_ns)  # a full tick takes long enough for a deadline to pass in it
+        self.metrics.passed_over = self.messages.passed_over
         self._serve_estops(instant_ns)
         if self._lost_key:
             self._stop_what_lost_stops_named(instant_ns)

@@ -74,6 +74,8 @@ class Metrics:
     """Times that a ring overflowed, so that messages of its key were lost."""
     lost: int = 0
     """Messages skipped undecoded after an overflow: the least number that was lost."""
+    passed_over: int = 0
+    """Messages that newer ones of the same key displaced before they were read one by one."""
     rejected: Counter[Reason] = field(default_factory=Counter)
     frames: Counter[Cause] = field(default_factory=Counter)
     events: Counter[Kind] = field(default_factory=Counter)
@@ -298,6 +300,7 @@ class RobotReports:
                 coalesced=metrics.coalesced,
                 overflows=metrics.overflows,
                 lost=metrics.lost,
+                passed_over=metrics.passed_over,
             ),
             spi=telemetry.SpiCounts(frames=bus.frames, errors=bus.errors),
             watchdog=telemetry.WatchdogCounts(

@@ -148,6 +148,11 @@ class Inbox:
         """Whether the next messages belong to the same instant as the last."""
         return self._rings.instant_open
 
+    @property
+    def passed_over(self) -> int:
+        """How many messages newer ones of their key have displaced."""
+        return self._rings.passed_over
+
     def take(self) -> Iterator[Received]:
         """Yield the rings' messages: `legs`, then `leg`, then `servo`, then resets.
 

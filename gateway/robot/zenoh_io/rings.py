@@ -99,6 +99,8 @@ class Rings(Generic[Item, Message]):
             ring.before = ring.others.intersection(self._all[:place])
         self.instant_open = False
         """Whether the next `read` belongs to the same instant as the last."""
+        self.passed_over = 0
+        """Messages that newer ones of their key displaced: taken from a ring, and not returned."""
 
     # mutants accepted (BreakWithContinue, Step): what is left changes nothing
     def read(self, keys: Collection[str] = ()) -> list[tuple[str, Message | None]]:
@@ -144,10 +146,11 @@ class Rings(Generic[Item, Message]):
         while len(found) < ring.depth and (more := ring.receive()) is not None:
             found.append(more)
         newest: list[Message | None] = [self._make(ring.key, item) for item in found[-RING_DEPTH:]]
+        if len(found) == ring.depth > RING_DEPTH and ring.servos:
+            return [None, *newest]  # the older ones count as lost
+        self.passed_over += len(found) - len(newest)
         if len(found) <= RING_DEPTH or not ring.servos:
             return newest
-        if len(found) == ring.depth:
-            return [None, *newest]
         stops: dict[bytes, Message] = {}
         for item in found[:-RING_DEPTH]:
             older = self._make(ring.key, item)
@@ -155,4 +158,5 @@ class Rings(Generic[Item, Message]):
             if words is not None:
                 stops.pop(words, None)  # only the last of equal Stops, so that a flood of Stops takes no time
                 stops[words] = older
+        self.passed_over -= len(stops)
         return [*stops.values(), *newest]

@@ -37,7 +37,9 @@ def test_what_runs_who_drives_and_what_watches(monkeypatch: pytest.MonkeyPatch) 
     assert "anna drives." in found
     assert "Stop buttons: 1 alive, 2 required." in found
     assert "Latest incident: 1-crash (./hexapod-gateway incidents show 1-crash)." in found
-    assert "Commands accepted: 0, rejected: 0; legs stopped by the watchdog (250 ms): 0." in found
+    assert (
+        "Commands accepted: 0, rejected: 0, passed over: 0, lost: 0; legs stopped by the watchdog (250 ms): 0." in found
+    )
 
 
 @pytest.mark.parametrize(
