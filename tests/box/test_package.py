@@ -59,7 +59,7 @@ def test_an_installation_that_is_not_set_up_stays_stopped(tmp_path: Path, packag
         assert left.stdout == ""
 
 
-def test_it_runs_with_any_python_that_fits(installed: Robot) -> None:
+def test_the_package_runs_with_any_python_that_fits(installed: Robot) -> None:
     """With each that works, though another is half removed; without any, a sentence says what is missing."""
     box, pythons = installed.box, ("/usr/bin/python3.11", "/usr/bin/python3.13")
     assert not box.exists(pythons[1])

@@ -35,7 +35,7 @@ def paste(box: Box, command: str, answers: str, *, check: bool = True) -> str:
 
 
 @pytest.mark.parametrize(("suite", "compiled"), [("bookworm", "-311.pyc"), ("trixie", "-313.pyc")])
-def test_its_four_commands_lead_from_nothing_to_a_servo_that_moves(
+def test_readmes_four_commands_lead_from_nothing_to_a_servo_that_moves(
     suite: str, compiled: str, tmp_path_factory: pytest.TempPathFactory, packages: Packages
 ) -> None:
     root = debian(suite, tmp_path_factory.mktemp("debian") / suite)

@@ -267,7 +267,7 @@ class Opened:
         self.page.evaluate(VISIBILITY % "visible")
 
     def lose_focus(self) -> None:
-        """Another window comes to the front."""
+        """Bring another window to the front."""
         self.devtools().send("Emulation.setFocusEmulationEnabled", {"enabled": False})
         other = self.context.new_page()
         self.context.new_cdp_session(other).send("Emulation.setFocusEmulationEnabled", {"enabled": False})

@@ -115,7 +115,7 @@ class OtherBrowser(Closing):
         self._point((x, y, height), [{"type": "pointerDown", "button": 0}, ahead])
 
     def let_go(self) -> None:
-        """Of what is held."""
+        """Let go of what is held."""
         self.ask("PerformActions", actions=[_thumb([{"type": "pointerUp", "button": 0}])])
 
     def _middle(self, element: str) -> tuple[int, int, float]:

@@ -29,7 +29,7 @@ class Thumb:
         self._touch("touchStart", 0, 0)
 
     def move(self, x: float, y: float) -> None:
-        """To the right, and down."""
+        """Move the finger to `x` (right) and `y` (down)."""
         self._touch("touchMove", x, y)
 
     def push(self, down: float) -> None:

@@ -29,7 +29,7 @@ class Parts(NamedTuple):
     root: Path
     """The packages, unpacked."""
     release: str
-    """Of the kernel, such as 6.1.0-56-amd64."""
+    """The kernel's release, such as 6.1.0-56-amd64."""
     module: Path
 
     @property

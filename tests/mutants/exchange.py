@@ -37,7 +37,7 @@ class MutatedImport(MetaPathFinder, Loader):
 
 @dataclass(frozen=True, slots=True)
 class Exchange:
-    """Another code for a function that is loaded."""
+    """A loaded function's new code. Calling it exchanges the code."""
 
     place: Place
     functions: list[FunctionType]
@@ -84,7 +84,7 @@ def _place(code: CodeType) -> Place:
 
 
 def _functions(code: CodeType) -> Iterator[tuple[Place, CodeType]]:
-    """Of a module or a class's body."""
+    """Yield the functions of a module's or a class's body, with their places."""
     for const in code.co_consts:
         if isinstance(const, CodeType):
             if const.co_flags & CO_OPTIMIZED:

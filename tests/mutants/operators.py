@@ -69,7 +69,7 @@ def _leave_out(node: Any, index: int) -> Any:
 
 
 def _dispensable(node: Any) -> list[Any]:
-    """Of a list, set, tuple or call that has several in brackets, each; and a call's only named argument."""
+    """Return the elements and named arguments that may be left out: each of several, or a call's only argument."""
     if not isinstance(node, BaseNode):
         return []
     children: list[Any] = node.children

@@ -111,7 +111,7 @@ def test_nothing_is_taken_before_somebody_drives(peer: RclpyPeer, watcher: Clien
     assert watcher.state().lease.holder is None
 
 
-def test_it_drives_visibly_and_until_it_is_released(peer: RclpyPeer, watcher: Client) -> None:
+def test_the_bridge_drives_visibly_until_it_is_released(peer: RclpyPeer, watcher: Client) -> None:
     assert peer.call("/hexapod/drive") == (True, "drives as ros2")
     assert watcher.state().lease.holder == "ros2"
     assert peer.call("/hexapod/drive") == (True, "it drives already")
@@ -193,7 +193,7 @@ def test_an_emergency_stop_waits_for_no_other_service(sits: str, driven: RclpyPe
 # ---- beginning and end
 
 
-def test_it_ends_when_asked_and_stops_what_runs(gateway: Gateway, watcher: Client) -> None:
+def test_the_bridge_ends_at_a_signal_and_stops_what_runs(gateway: Gateway, watcher: Client) -> None:
     with RclpyBridge(gateway, "--drive", domain=OTHER_DOMAIN) as own, RclpyPeer(OTHER_DOMAIN) as peer:
         assert watcher.state().lease.holder == "ros2", str(own.child)
         peer.advertise(COMMANDS, JointState)

@@ -89,7 +89,7 @@ def test_bad_messages_move_nothing_and_each_is_explained(driven: RclpyPeer, watc
 # ---- walking
 
 
-def test_it_is_raised_leans_walks_and_stands_in_silence_and_what_legs_cannot_do_is_not_taken(
+def test_a_robot_is_raised_leans_walks_and_stands_in_silence_and_what_legs_cannot_do_is_rejected(
     driven: RclpyPeer, watcher: Client
 ) -> None:
     """How long each silence lasts: tests/unit/people/test_ride.py."""

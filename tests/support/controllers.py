@@ -20,7 +20,7 @@ KEPT_TRANSFERS = 10_000  # the newest; 33 s of six legs at 50 Hz
 
 
 class Controller(SimulatedController):
-    """Of HexapodProtocol v1.0.0."""
+    """A simulated controller of HexapodProtocol v1.0.0."""
 
     def __init__(self, framing: Framing, **options: Any) -> None:
         super().__init__(framing, **options)
@@ -59,7 +59,7 @@ class Controller(SimulatedController):
 
 
 class Elkapod(SimulatedElkapod):
-    """Of elkapod-2025."""
+    """A simulated controller of elkapod-2025."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)

@@ -45,7 +45,7 @@ class ElkapodRobot(Robot):
         return [(at_ns / MS, names[message]) for at_ns, message in self.elkapod.messages]
 
     def kinds(self) -> list[Kind]:
-        """Of the events so far."""
+        """Return the kinds of all events so far."""
         return [Kind(event.kind) for event in self.events()]
 
 

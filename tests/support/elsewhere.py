@@ -69,7 +69,7 @@ def forget() -> None:
 
 
 def _keep_for_the_library() -> None:
-    """Of this system's standard library, as it does the same on another one."""
+    """Keep what the standard library itself needs of this system."""
     pair, family = socket.socketpair, socket.AF_UNIX
     socket.socketpair = lambda *_, **__: pair(family)
     importlib.import_module("numpy")  # it knows its system by the platform

@@ -22,7 +22,7 @@ IN_A_BOX: Final[dict[str, type[BaseModel]]] = {**dict.fromkeys(COMMAND_KEYS, Com
 
 
 def checked(path: Path) -> Iterator[tuple[str, Any]]:
-    """Of each message its topic, and its JSON or its ROS 2 message."""
+    """Yield each message's topic, and its JSON or its ROS 2 message."""
     with path.open("rb") as file:
         for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages():
             if (kind := DRAWN.get(channel.topic)) is not None:

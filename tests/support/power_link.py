@@ -44,7 +44,7 @@ class Link:
         self.deaf = False
         """The board answers questions, and gets no mask."""
         self.second: SimulatedBoard | None = None
-        """Another one on the bus."""
+        """A second board on the bus."""
         self.hears = True
         """Whether we hear the board; it hears us all the same."""
         self.sent: list[tuple[int, CanFrame]] = []
@@ -116,7 +116,7 @@ class Link:
         return (self.now_ns - begun_ns) / NS_PER_MS
 
     def hear_from_another(self, frame: CanFrame) -> None:
-        """Another node on the bus sends this: boards and we receive it."""
+        """Send a frame from another node on the bus: all boards and the gateway receive it."""
         self.catch_up()
         self._taken(frame)
         if self.cable and self.hears:

@@ -152,10 +152,6 @@ class Actor:
         self._publishers[topic] = publisher
         wait_until(lambda: publisher.get_subscription_count() > 0, "somebody subscribes there", ANSWER_S)
 
-    def withdraw(self, topic: str) -> None:
-        """Publish there no more."""
-        self._node.destroy_publisher(self._publishers.pop(topic))
-
     def publish(self, topic: str, message: str, serialized: bool = False) -> None:
         """One message of a topic that is advertised; `serialized`: with bytes behind the last field, too."""
         made = self._to_ros(pickle.loads(bytes.fromhex(message)))  # noqa: S301 - our own test's

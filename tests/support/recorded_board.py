@@ -72,7 +72,7 @@ class RecordedBoard(Closing):
 
     @property
     def settings(self) -> dict[str, object]:
-        """Of `[power]`. Nothing counts as unconfirmed that only the machine's load makes wait."""
+        """Return the table `[power]`. Its time for a confirmation outlasts the machine's load."""
         return {"interface": "slcan", "channel": self.channel, "confirm_ms": 2000}
 
     def next(self, what: str, mask: int | None = None, timeout_s: float = 20.0) -> Noted:

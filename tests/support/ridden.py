@@ -119,7 +119,7 @@ class Ridden:
             self.tick()
 
     def copy(self) -> "Ridden":
-        """Another one that goes on by itself from here."""
+        """Return an independent copy."""
         return copy.deepcopy(self, {id(self._robot): self._robot})
 
     @property

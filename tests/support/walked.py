@@ -77,7 +77,7 @@ class Walked:
         raise AssertionError(f"after {at_most_s} s it is {self.engine.posture}, {self.engine.limit}")
 
     def copy(self) -> "Walked":
-        """Another one that goes on by itself from here."""
+        """Return an independent copy."""
         return deepcopy(self, {id(self.robot): self.robot})
 
     def _on_the_floor(self, leg: int) -> tuple[float, float]:

@@ -101,7 +101,7 @@ def test_a_board_that_lost_its_supply_is_a_fault(bus: I2cBus, wire: WireSettings
     assert "board 0x41 was reset" in str(report.fault)
 
 
-def test_it_keeps_what_a_wire_has_to_keep(
+def test_the_example_keeps_the_contract_of_a_wire(
     wire: WireSettings, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(conformance, "_HOLD_S", 0)

@@ -85,7 +85,7 @@ def start_set_stop(servo_id: int, angle_deg: int, end_deg: int) -> list[OneServo
 def test_one_servo_is_started_moved_and_stopped(
     move: Callable[..., Ended], client: Client, answers: tuple[str, ...], expected: list[OneServo], leg_1: bool
 ) -> None:
-    """Of leg 1 it says nothing of the other Stops of a call."""
+    """The command is silent about leg 1's other Stops in a call."""
     heard = frames(client)
     end = move(*answers)
     assert end.returncode == 0, str(end)

@@ -36,7 +36,7 @@ FRAMES: Final[dict[str, dict[str, Any]]] = {"telemetry": {"frames": True}}
 gateway = gateway_fixture(patient(1000, **FRAMES))
 
 
-def test_it_passes_on_a_robot_that_works(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_check_stops_passes_on_a_robot_that_works(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With certificates, and where silence lands the robot before it stops it."""
     monkeypatch.setattr(stops, "_ANSWER_MS", LATE_MS)
     watchdog = {"timeout_ms": 1000, "landing_ms": 300}

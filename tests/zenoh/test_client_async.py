@@ -68,7 +68,7 @@ def public(kind: type) -> dict[str, list[str]]:
     ("twin", "own"),
     [(AsyncClient, Client), (AsyncStream, Stream), (AsyncLease, Lease), (AsyncWalk, Walk), (AsyncButton, Button)],
 )
-def test_both_have_the_same_names_and_arguments(twin: type, own: type) -> None:
+def test_client_and_asyncclient_have_the_same_names_and_arguments(twin: type, own: type) -> None:
     wanted = {name: taken for name, taken in public(own).items() if not isinstance(getattr(twin, name, None), property)}
     assert {name: taken for name, taken in public(twin).items() if name in wanted} == wanted
     assert public(own).keys() <= vars(twin).keys()

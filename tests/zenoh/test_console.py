@@ -176,7 +176,7 @@ def test_a_flood_ends_it_and_delays_nobody(
 # ---- its own beginning and end
 
 
-def test_it_waits_for_a_gateway(tmp_path: Path) -> None:
+def test_the_console_waits_for_a_gateway(tmp_path: Path) -> None:
     """Also a stop that was asked for before there was one; and it says when the gateway has gone."""
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with Console(tmp_path, "--connect", endpoint) as console, console.page(console.sign_in()) as page:
@@ -191,7 +191,7 @@ def test_it_waits_for_a_gateway(tmp_path: Path) -> None:
             page.wait("link", lambda message: message["status"] == "gone")
 
 
-def test_its_end_gives_back_a_lease_that_is_granted_meanwhile(gateway: Gateway, tmp_path: Path) -> None:
+def test_the_consoles_end_gives_back_a_lease_that_is_granted_meanwhile(gateway: Gateway, tmp_path: Path) -> None:
     with Console(tmp_path, "--connect", gateway.endpoint) as own, own.page(own.sign_in()) as page:
         page.state()
         page.send(type="lease", id=1, do="acquire")

@@ -37,7 +37,7 @@ class Pad:
         self.press += 1
 
     def send(self) -> None:
-        """To be called 20 times a second."""
+        """Send the wish. Call it 20 times a second."""
         if self.press:
             sent_ms = self._page.now_ms() - self.delay_ms
             self._page.send(type="walk", id=next(self._ids), press=self.press, sent_ms=sent_ms, **self.wish)

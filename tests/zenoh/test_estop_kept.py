@@ -41,7 +41,7 @@ def is_kept(folder: Path, number: int) -> bool:
 
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM])
-def test_it_is_engaged_again_however_the_gateway_ended_and_a_reset_ends_it_for_good(
+def test_an_emergency_stop_is_engaged_again_however_the_gateway_ended_until_a_reset(
     tmp_path: Path, how: signal.Signals
 ) -> None:
     state = tmp_path / "state"

@@ -19,7 +19,7 @@ from tests.support.waiting import wait_until
 gateway = gateway_fixture({"wire": {"name": "elkapod-2025"}})
 
 
-def test_it_knows_whether_anyone_listens() -> None:
+def test_the_outbox_knows_whether_anyone_listens() -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     outbox = ZenohOutbox()
     assert not outbox.anyone_listens(STATE)

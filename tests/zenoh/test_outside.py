@@ -62,7 +62,7 @@ def test_two_of_them_are_seen_until_the_second_has_ended(device: Path, monkeypat
     assert not gateway.poll()
 
 
-def test_its_death_is_its_end(device: Path) -> None:
+def test_the_death_of_a_program_ends_its_notice(device: Path) -> None:
     gateway = Listener(opened(device))
     program = (
         "import sys, time\nfrom gateway.robot.spi.outside import Notice\n"

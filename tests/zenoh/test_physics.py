@@ -24,7 +24,7 @@ PATIENT: Final[dict[str, dict[str, object]]] = {"watchdog": {"timeout_ms": 10_00
 gateway = gateway_fixture(PATIENT, options=PHYSICS)
 
 
-def test_it_walks_and_an_emergency_stop_lets_it_sink(gateway: Gateway) -> None:
+def test_a_simulated_body_walks_and_sinks_at_an_emergency_stop(gateway: Gateway) -> None:
     """It stands up, walks ten centimetres, sinks at an emergency stop, and stands up again."""
     with gateway.client() as client:
         assert client.state().simulated

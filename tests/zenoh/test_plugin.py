@@ -69,7 +69,7 @@ class Installed:
         self.path = folder / "written"
         self.settings = patient(wire={"name": NAME, "path": str(self.path)})
         self.env = {**os.environ, "PYTHONPATH": str(folder), "RUNTIME_DIRECTORY": str(folder)}
-        """Of a program that finds it."""
+        """The environment of a program that finds the plug-in."""
         self.mistake, self.hangs, self.hung = (folder / f"written.{name}" for name in ("mistake", "hangs", "hung"))
         (folder / "to_file.py").write_text(WIRE)
         described = folder / "to_file-1.0.dist-info"  # as if pip had installed it
@@ -105,7 +105,7 @@ def stop_servos(gateway: Gateway, plugin: Installed) -> Child:
     return child
 
 
-def test_it_starts_moves_and_stops_servos_stops_first_and_alone(plugin: Installed, gateway: Gateway) -> None:
+def test_a_plugin_starts_moves_and_stops_servos_with_stops_first_and_alone(plugin: Installed, gateway: Gateway) -> None:
     assert [set(each.changes) for each in plugin.calls()[:1]] == [{*SERVO_IDS}], "Stops before any command can arrive"
     with gateway.client() as client:
         state = client.state()

@@ -53,7 +53,7 @@ class Deliveries:
     flood: Callable[[str, str], Message | None] = lambda _key, _verb: None
     """What arrives in a ring each time that it was found empty."""
     depth: int = LEAST_PUT_DEPTH
-    """Of a ring of puts."""
+    """The depth of a ring of puts."""
     reads: int = 0
     rings: dict[tuple[str, str], deque[Message]] = field(default_factory=dict)
 

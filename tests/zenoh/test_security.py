@@ -202,7 +202,7 @@ def test_one_line_names_the_step_and_what_to_do(secured: Secured, step: str) -> 
 
 
 @pytest.mark.full
-def test_another_ca(secured: Secured, tmp_path: Path) -> None:
+def test_a_certificate_of_another_ca_is_rejected(secured: Secured, tmp_path: Path) -> None:
     certs.folder.init(tmp_path / "E", [HOST], port=secured.port)
     certs.folder.issue(tmp_path / "E", "eve", "operator")
     (line,) = said("--zenoh-config", str(tmp_path / "E" / "eve.json5"))

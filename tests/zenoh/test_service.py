@@ -26,7 +26,9 @@ from tests.support.gateway_process import READY, Gateway, free_port, write_setti
 from tests.support.heard import frames
 
 
-def test_it_says_that_it_is_ready_where_and_what_to_try_and_its_token_that_it_lives(tmp_path: Path) -> None:
+def test_the_service_prints_that_it_is_ready_where_and_what_to_try_and_its_token_shows_that_it_lives(
+    tmp_path: Path,
+) -> None:
     seen: dict[str, threading.Event] = {"SampleKind.PUT": threading.Event(), "SampleKind.DELETE": threading.Event()}
     with Gateway(tmp_path) as gateway, gateway.client() as client:
         gateway.child.wait_for_output("Try")

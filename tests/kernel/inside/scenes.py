@@ -13,7 +13,7 @@ class Scene(NamedTuple):
     shows: str
     play: Callable[[], str]
     options: str = ""
-    """Of the kernel."""
+    """Options of the kernel's command line."""
 
 
 SCENES: Final = {

@@ -31,7 +31,7 @@ def test_the_mount_of_a_folder(folder: str, mount: str, kind: str) -> None:
     assert mount_of(Path(folder), MOUNTS) == (mount, kind)
 
 
-def test_this_machines_memory_forgets() -> None:
+def test_a_file_system_in_memory_counts_as_one_that_forgets() -> None:
     assert forgets(Path("/dev/shm")) == "tmpfs"  # noqa: S108 (the point of it)
     assert forgets(Path("/proc")) == ""
     assert "ext4" not in FORGETS

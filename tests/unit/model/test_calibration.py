@@ -46,7 +46,7 @@ def test_what_is_accepted_has_a_legal_wire_angle_and_reads_back_as_the_user_said
     assert [op.op for _, op in wire.servos] == [op.op for _, op in frame.servos]
 
 
-def test_it_is_published_in_degrees_and_what_no_gateway_publishes_is_an_error() -> None:
+def test_a_calibration_is_published_in_degrees_and_one_that_no_gateway_publishes_is_an_error() -> None:
     report = report_of(RobotCalibration(1, {31: ServoMapping(-12_34, True, 1_00, 170_00)}, {32: 45_50}))
     assert (report.revision, len(report.servos), report.landing) == (1, 18, {"32": 45.5})
     assert report.servos["31"] == ServoCalibration(trim_deg=-12.34, inverted=True, min_deg=1, max_deg=170)

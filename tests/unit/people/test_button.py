@@ -51,7 +51,7 @@ def button(requests: Requests) -> Button:
     return Button(cast(ClientRequests, requests), lambda _: Ack(accepted=True), None)
 
 
-def test_it_registers_anew_before_its_clock_may_have_fallen_behind_and_goes_on_where_that_is_denied(
+def test_a_button_registers_anew_before_its_clock_may_have_fallen_behind_and_goes_on_if_that_is_denied(
     requests: Requests,
 ) -> None:
     kitchen = button(requests)

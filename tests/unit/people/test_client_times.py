@@ -72,7 +72,7 @@ def test_what_is_no_stop_is_sent_once_and_ends_where_everybody_has_declined() ->
     assert asked(again=False)[0].step(END_S) is QuestionStep.OVER
 
 
-def test_another_way_is_searched_for_once_and_at_once_where_the_link_is_lost() -> None:
+def test_another_way_is_searched_for_once_and_at_once_if_the_link_is_lost() -> None:
     patience, _ = asked(other_ways=True)
     assert (patience.step(OTHER_WAY_S - 0.001), patience.next_s) == (QuestionStep.WAIT, OTHER_WAY_S)
     assert patience.step(OTHER_WAY_S) is QuestionStep.OTHER_WAY

@@ -73,7 +73,7 @@ def test_undo_goes_back_to_the_beginning_and_as_drawn_to_no_calibration() -> Non
     assert (made.draft[32], made.changed) == (ServoMapping(), [32])
 
 
-def test_it_never_leaves_what_the_gateway_accepts() -> None:
+def test_the_guide_never_leaves_what_the_gateway_accepts() -> None:
     made = guide(ServoMapping(max_cdeg=92_00))
     made.jog(2 * COARSE_CDEG)
     with pytest.raises(CalibrationError, match="calibrated to go from 0 to 92 degrees"):

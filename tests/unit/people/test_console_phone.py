@@ -26,7 +26,7 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HOME", str(tmp_path))
 
 
-def test_it_makes_a_certificate_for_the_address_once_and_keeps_its_key_private(tmp_path: Path) -> None:
+def test_a_certificate_for_the_address_is_made_once_and_its_key_stays_private(tmp_path: Path) -> None:
     first = prepare(tmp_path)
     assert first.cert is not None
     made = first.cert.read_bytes()

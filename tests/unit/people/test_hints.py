@@ -23,7 +23,7 @@ def test_what_strangers_wrote_is_shown_on_one_line_and_does_nothing(capsys: pyte
     assert capsys.readouterr() == (f"{SHOWN} drives\n", f"{SHOWN} asks\n")
 
 
-def test_nor_does_it_in_an_error() -> None:
+def test_control_characters_in_an_error_are_escaped() -> None:
     end = run_here("run", "--config", "/nowhere\x1b[2J.toml")
     assert end == (2, "", "hexapod-gateway: /nowhere\\x1b[2J.toml: there is no such file; name another with --config\n")
 

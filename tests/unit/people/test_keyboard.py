@@ -85,7 +85,7 @@ def test_a_held_key_has_no_gap_and_ends_soon_after_its_release(pause_s: float, e
     assert pad.velocity(last_s + REPEATED_S) == STILL
 
 
-def test_another_key_ends_it_and_the_newest_counts() -> None:
+def test_another_key_ends_a_motion_and_the_newest_counts() -> None:
     pad = Keypad()
     pad.press("w", 0.0)
     pad.press("left", 0.1)

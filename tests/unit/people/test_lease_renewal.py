@@ -55,7 +55,7 @@ def granted() -> Renewal:
         ([DONE, DONE, FREE, DONE], Reason.NO_LEASE, None, "nobody holds it now"),
     ],
 )
-def test_it_is_lost_at_once_by_the_gateways_word_and_by_a_silence_for_as_long_as_it_lives(
+def test_a_lease_is_lost_at_once_by_the_gateways_word_and_by_a_silence_as_long_as_its_life(
     answers: list[LeaseAck | None], reason: Reason, holder: str | None, sentence: str
 ) -> None:
     """With these answers to what the thread sends (None: silence)."""
@@ -84,7 +84,7 @@ STEPS = st.sampled_from(["confirmed", "taken", "silent", "gives", "keeps", "hand
 
 
 @given(st.lists(st.tuples(STEPS, st.floats(0, 2 * TTL_S)), max_size=20))
-def test_it_ends_once_whatever_crosses(steps: list[tuple[str, float]]) -> None:
+def test_a_lease_ends_once_whatever_crosses(steps: list[tuple[str, float]]) -> None:
     """A renewal that is rejected while it is given away is no loss, and what has ended stays as it ended."""
     renewal, now_s, confirmed_s, ended = granted(), BEGUN_S, BEGUN_S, Holds.YES
     for step, passed_s in steps:
@@ -195,7 +195,7 @@ def lease_of(robot: Any, *, wait_s: float = 0.0) -> Lease:
     return Lease(robot, take=False, wait_s=wait_s, source=None, on_lost=robot.on_lost, on_asked=robot.on_asked)
 
 
-def test_it_renews_by_itself_and_releases_at_the_end() -> None:
+def test_a_lease_renews_itself_and_is_released_at_the_end() -> None:
     robot = Robot()
     with lease_of(robot) as lease:
         robot.wait_for("renew", count=4)  # longer than it lives
@@ -254,7 +254,7 @@ def test_a_hand_over_that_is_rejected_changes_nothing() -> None:
 
 
 @pytest.mark.lengthy
-def test_it_asks_waits_and_is_handed_it() -> None:
+def test_a_client_asks_for_the_lease_waits_and_is_handed_it() -> None:
     by_carl = HELD.model_copy(update={"holder": "carl"})
     robot = Robot(HELD, HELD, by_carl, by_carl, GRANTED)
     begun_s = time.monotonic()
@@ -324,7 +324,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-def test_it_is_the_person_of_the_certificate_that_the_zenoh_file_names(folder: Path) -> None:
+def test_the_holder_is_the_person_of_the_certificate_that_the_zenoh_file_names(folder: Path) -> None:
     config = zenoh.Config()
     assert not Identity.of(config).proves
     for name, file in (("connect_certificate", "anna.pem"), ("connect_private_key", "anna.key")):

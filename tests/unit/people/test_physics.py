@@ -25,7 +25,7 @@ GEOMETRY = load()
 
 
 @pytest.mark.parametrize("text", ["flat", "slope:10", "slope:-20", "rough:0.02", "step:0.02", "step:-0.1"])
-def test_it_lies_on_every_ground(text: str) -> None:
+def test_a_robot_lies_on_every_ground(text: str) -> None:
     world = World(GEOMETRY, Assumed(terrain=Terrain.parsed(text)))
     assert str(Terrain.parsed(text)) == text
     run(world, 1.0)

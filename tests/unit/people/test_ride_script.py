@@ -56,7 +56,7 @@ class Walked:
         return self.ridden.now_s
 
 
-def test_it_stands_up_walks_for_so_long_and_sits(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_script_stands_up_walks_for_its_time_and_sits(capsys: pytest.CaptureFixture[str]) -> None:
     robot = Walked()
     assert go(cast(Walk, robot), AHEAD, 1.0, 0.14, EndRequests(), robot.clock)
     assert robot.walked_s == pytest.approx(1.0, abs=0.05)
@@ -133,7 +133,7 @@ def cover(ridden: Ridden, amount: float, *, turns: bool, late: int) -> tuple[flo
     ("gait", "amount", "turns"),
     [("tripod", 0.3, False), ("ripple", -0.05, False), ("wave", 0.1, False), ("tripod", math.pi / 2, True)],
 )
-def test_it_ends_within_half_a_millimetre_or_a_seventh_of_a_degree(
+def test_a_course_ends_within_half_a_millimetre_or_a_seventh_of_a_degree(
     gait: str, amount: float, turns: bool, late: int
 ) -> None:
     ridden = Ridden()  # it lies, and stands up first
@@ -164,7 +164,7 @@ def test_what_is_no_distance_is_rejected(amount: float, turns: bool, why: str) -
         Distance(most, turns=turns)
 
 
-def test_it_does_not_wait_for_ever_for_a_robot_that_comes_no_nearer() -> None:
+def test_a_script_does_not_wait_forever_for_a_robot_that_comes_no_nearer() -> None:
     ride: Ride = standing().ride
     distance = Distance(1.0, turns=False)
     now_s = 0.0

@@ -145,7 +145,7 @@ def test_a_record_that_a_killed_gateway_began_states_nothing(path: Path) -> None
     ],
     ids=["a script", "short", "another size", "cut off", "another version"],
 )
-def test_another_file_is_begun_anew_and_said(path: Path, found: bytes) -> None:
+def test_a_file_that_is_no_ring_is_begun_anew_and_reported(path: Path, found: bytes) -> None:
     path.write_bytes(found)
     path.chmod(0o600)
     ring = RecordRing(path, 50)

@@ -139,7 +139,7 @@ class Gateway:
         return outcome
 
 
-def test_it_is_requested_again_until_it_is_confirmed_whatever_goes_wrong() -> None:
+def test_a_stop_is_requested_again_until_it_is_confirmed_whatever_goes_wrong() -> None:
     gateway = Gateway()
     faults: list[Exception] = [MemoryError(), RuntimeError("can't start new thread"), DisconnectedError("no answer")]
     request = gateway.pressed()

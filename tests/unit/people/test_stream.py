@@ -144,7 +144,7 @@ def ends(robot: Robot, stream: Stream, happens: Callable[[Robot], None]) -> Gate
     return error.value
 
 
-def test_it_sends_what_it_is_given_once_a_tick_and_asks_nothing(robot: Robot, stream: Stream) -> None:
+def test_a_stream_sends_its_newest_pose_once_a_tick_and_asks_nothing(robot: Robot, stream: Stream) -> None:
     begun_s = robot.now_s
     go_on(robot, stream, 1.0)
     assert [sent_s - begun_s for sent_s, _ in robot.published] == pytest.approx([tick / HZ for tick in range(1, 51)])

@@ -31,5 +31,5 @@ TIMES: dict[tuple[ModuleType, str], float] = {
 
 
 @pytest.mark.parametrize(("module", "name"), TIMES, ids=lambda part: getattr(part, "__name__", part))
-def test_it_is_as_decided(module: ModuleType, name: str) -> None:
+def test_each_time_is_as_decided(module: ModuleType, name: str) -> None:
     assert getattr(module, name) == TIMES[module, name]

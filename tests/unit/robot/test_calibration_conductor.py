@@ -53,7 +53,7 @@ def told(robot: Robot) -> calibration.Calibration:
 
 
 @virtual_time
-async def test_it_is_told_when_it_changes_and_when_somebody_asks(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_the_calibration_is_published_at_a_change_and_at_a_question(monkeypatch: pytest.MonkeyPatch) -> None:
     robot = await started_and_quiet()
     recorded: list[RobotCalibration] = []
     monkeypatch.setattr(robot.conductor.recorder, "calibration", recorded.append)

@@ -116,7 +116,7 @@ def test_one_that_is_unplugged_is_a_fault_until_it_is_opened_again(monkeypatch: 
     assert Exits.stopped == {21, 22, 23}
 
 
-def test_its_descriptors_are_kept_for_it_while_it_is_closed() -> None:
+def test_descriptors_of_a_closed_plugin_are_kept_for_it() -> None:
     """Else clients would take them, a few with each fault, until it could not be opened."""
     bus = plugin_bus(WireSettings("exits", {}), spare=(spare := Spare()))
     bus.open()

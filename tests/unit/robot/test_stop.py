@@ -166,7 +166,7 @@ def stops(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Stops:
         (LEGS, 13, 13, 14),  # but for the last
     ],
 )
-def test_it_repeats_its_stops_and_goes_on_while_a_leg_got_none(
+def test_stop_servos_repeats_its_stops_and_goes_on_while_a_leg_got_none(
     failing: Iterable[int], rounds: int, pauses: int, first_ns: int, stops: Stops
 ) -> None:
     scene = Rounds(failing, rounds)
@@ -178,7 +178,7 @@ def test_it_repeats_its_stops_and_goes_on_while_a_leg_got_none(
 
 
 @pytest.mark.parametrize("failing", [[3], LEGS])
-def test_it_ends_with_the_fault_where_a_leg_got_no_stop(failing: Iterable[int], stops: Stops) -> None:
+def test_stop_servos_ends_with_the_fault_if_a_leg_got_no_stop(failing: Iterable[int], stops: Stops) -> None:
     scene = Rounds(failing, 1000)
     with pytest.raises(SpiError, match="told to fail"):
         stops(scene)

@@ -32,7 +32,7 @@ def test_frames_carry_the_servos_own_angles_and_all_else_the_users() -> None:
     steps.play("200 servo 31 set 20 + servo 33 set 30 → command 3 set 20 | set 142 | set 30; completed 3")
 
 
-def test_it_is_the_servos_own_angle_that_is_never_sent() -> None:
+def test_angles_that_are_never_sent_are_the_servos_own() -> None:
     steps = Scenes(AVOIDING, calibration=RobotCalibration(1, {32: ServoMapping(-3_00)}))
     steps.play("0.5 servo 32 start 5 → rejected 1 joint_limit")
     assert steps.detail == (
