@@ -24,7 +24,7 @@ class PartsError(Exception):
 
 
 class Parts(NamedTuple):
-    """Where everything is."""
+    """The places of all parts."""
 
     root: Path
     """The packages, unpacked."""

@@ -18,7 +18,7 @@ CALLED: Final = "__called_in_a_test__"
 
 
 class MutatedImport(MetaPathFinder, Loader):
-    """For `sys.meta_path`: one module comes from this source instead of its file."""
+    """A finder for `sys.meta_path`: loads one module from this source instead of its file."""
 
     def __init__(self, module: str, file: str, source: str) -> None:
         self._module = module
@@ -49,7 +49,7 @@ class Exchange:
 
 
 def in_place(module: ModuleType, source: str, mutated: str) -> Exchange | None:
-    """For the one function that differs. None: it is more than one, or none that is found."""
+    """Return the exchange of the one function that differs; None if it is not one, or not found."""
     file = str(module.__file__)
     was, is_now = compile(source, file, "exec"), compile(mutated, file, "exec")
     functions, others = dict(_functions(was)), dict(_functions(is_now))
@@ -60,7 +60,7 @@ def in_place(module: ModuleType, source: str, mutated: str) -> Exchange | None:
 
 
 def watched(module: ModuleType, source: str, called: Callable[[int], None]) -> list[Exchange]:
-    """For all functions: each reports the line it begins at whenever it is called, in whichever thread."""
+    """Return exchanges by which each function reports its first line whenever it is called, in any thread."""
     setattr(builtins, CALLED, called)
     tree = ast.parse(source)
     for node in ast.walk(tree):

@@ -43,7 +43,7 @@ class Accepted(NamedTuple):
 
 
 def accepted(source: str) -> list[Accepted]:
-    """What the comments of a file accept. One speaks of the line that it stands at, or above; at the first line of a
+    """Return what a file's comments accept. One applies to its own line, or to the next; at the first line of a
     function or class, of all of it."""
     wholes = dict(each for node in ast.walk(ast.parse(source)) for each in _wholes(node))
     found: list[Accepted] = []
@@ -137,7 +137,7 @@ def short(operator: str) -> str:
 
 
 def _in_a_line(lines: list[str]) -> str:
-    """Without comments, so that another comment is no other mutant."""
+    """Return the lines as one, without comments: another comment is not another mutant."""
     text = " ".join(re.sub(r"(^|\s\s)#\s.*", "", line) for line in lines)
     return re.sub(r"([(\[{]) ", r"\1", " ".join(text.split()))
 
@@ -182,7 +182,7 @@ def _meaning(source: str) -> str:
 
 
 def _judged(decorators: list[ast.expr]) -> list[ast.expr]:
-    """Without those for mypy, and without what a dataclass promises about itself."""
+    """Return the decorators without those for mypy, and without a dataclass's promises about itself."""
     kept = [each for each in decorators if not isinstance(each, ast.Name) or each.id not in ("final", "abstractmethod")]
     for each in kept:
         if isinstance(each, ast.Call) and ast.unparse(each.func) == "dataclass":

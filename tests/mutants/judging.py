@@ -53,7 +53,7 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What became of one, and the test that noticed it."""
+    """The fate of a mutant, and the test that noticed it."""
 
     outcome: Outcome
     test: str = ""
@@ -74,7 +74,7 @@ class Subject:
 
     @property
     def module(self) -> str:
-        """Its name in Python."""
+        """Return the module's name in Python."""
         return self.file.removesuffix(".py").replace("/", ".")
 
 
@@ -120,7 +120,7 @@ def verdicts(subject: Subject) -> Iterator[tuple[int, Verdict]]:
 
 
 def _judged_anew(subject: Subject, number: int, order: list[str], limits: _Limits) -> Verdict:
-    """By tests in this order; the one that notices it becomes the first."""
+    """Return the verdict by tests in this order. The test that notices the mutant becomes the first."""
     pid, pipe = _forked(limits)
     if pid == 0:
         file = str(subject.root / subject.file)
@@ -188,7 +188,7 @@ class _Tests:
     """A plugin for pytest: Hypothesis tries the same examples each time, and looks for no nicer ones."""
 
     pipe: int
-    """For the name of the test that fails."""
+    """Where to write the name of the test that fails."""
 
     def pytest_runtest_logstart(self) -> None:
         """A test begins; one that waits for ever ends all."""
@@ -209,13 +209,13 @@ class _Tests:
 
 @dataclass(slots=True, eq=False)  # pytest hashes its plugins
 class _Anew(_Tests):
-    """For a mutant that is imported: the tests that noticed others come first, and then the quick ones."""
+    """Runs the tests for an imported mutant: first those that noticed others, then the quick ones."""
 
     order: list[str]
 
     @pytest.hookimpl(trylast=True)
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
-        """What a mutant has made of the parameters' names comes last."""
+        """Order the tests; those whose parameters' names the mutant has changed come last."""
         ranks = {test: rank for rank, test in enumerate(self.order)}
         items.sort(key=lambda item: ranks.get(item.nodeid, len(ranks)))
 
@@ -230,11 +230,11 @@ class _Loaded(_Tests):
     imported: set[CodeType] = field(default_factory=set)
     """The subject's functions that are called while modules are imported."""
     now: set[int] = field(default_factory=set)
-    """What the present test has called of them, by first line."""
+    """The functions that the present test has called, by first line."""
     took_s: float = 0
     """How long the present test has taken."""
     noted: int | None = None
-    """Where that is written at its end, in the process that runs the tests without a mutant."""
+    """Where to write the above at the end, in the process that runs the tests without a mutant."""
     killers: list[str] = field(default_factory=list)
     """Tests that noticed a mutant, the last one first."""
 

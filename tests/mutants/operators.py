@@ -24,7 +24,7 @@ class Ours(NamedTuple):
     """An operator of our own: a place comes twice where it can be made there in two ways."""
 
     ways: Callable[[Any], int]
-    """In how many ways it can be made in a node."""
+    """Returns in how many ways the fault can be made in a node."""
     change: Callable[[Any, int], Any]
 
     def mutation_positions(self, node: NodeOrLeaf) -> Iterator[Span]:
@@ -98,7 +98,7 @@ def _flip(node: Any, index: int) -> Any:
 
 
 def _flags(node: Any) -> list[re.Match[str]]:
-    """In a string, but not in docstrings."""
+    """Return each `true` and `false` in a string of several lines that is not a docstring."""
     is_text = node.type == "string" and "\n" in node.value and node.parent.type != "simple_stmt"
     return list(re.finditer(r"\b(true|false)\b", node.value)) if is_text else []
 

@@ -132,7 +132,7 @@ OUTCOMES = [
 
 
 def judge_a_small_tree(root: Path) -> None:
-    """In a process without threads, for it forks: print what became of each."""
+    """Print the fate of each mutant. It forks, so it runs in a process without threads."""
     for name, text in FILES.items():
         path = root / name
         path.parent.mkdir(parents=True, exist_ok=True)

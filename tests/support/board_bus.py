@@ -42,7 +42,7 @@ class BoardBus(can.BusABC):
         self._frames: deque[CanFrame] = deque()
 
     def opened(self, _settings: PowerSettings) -> "BoardBus":
-        """As `open_bus`."""
+        """Open the bus, as `open_bus` does."""
         if self.failures:
             raise self.failures.pop(0)
         return self

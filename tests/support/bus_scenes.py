@@ -24,7 +24,7 @@ SIGNS: Final = {ZERO: "z", STOP_SERVO.data: "s", **{stop.data: str(leg) for leg,
 
 
 def wire_ns(batch: Batch) -> int:
-    """From the first bit to the last, as the emulated device counts it."""
+    """Return the time from the first bit to the last, as the emulated device counts it."""
     return sum(3200 * len(data) + pause_us * 1000 + CS_CHANGE_NS for data, pause_us in batch) - (
         batch[-1][1] * 1000 + CS_CHANGE_NS
     )
@@ -44,7 +44,7 @@ class Bench(SpiDevice):
         self.now_ns = 7_000 * MS
         self.most_transfers = most_transfers
         self.batches: list[Batch] = []
-        """What was written, or failed."""
+        """The batches that were written, or failed."""
         self.calls: list[str] = []
         """The same in words, until a scene has looked."""
         self.fails: Callable[[int, str], bool] = lambda _number, _call: False
@@ -53,7 +53,7 @@ class Bench(SpiDevice):
         self.wire_takes_time = False
         """A call that succeeds takes what the wire needs."""
         self.stall_ns = self.pause_stall_ns = 0
-        """What the next call, or the next pause, takes besides."""
+        """How much longer the next call, or the next pause, takes."""
         self.takes_lists = True
         self.meddled: str | None = None
         self.looks = self.openings = self.open_now = 0

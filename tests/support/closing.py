@@ -5,7 +5,7 @@ from typing import Self
 
 
 class Closing(ABC):
-    """Its `close` is called at the end of a `with`, however that ends."""
+    """Closes itself at the end of a `with`, however that ends."""
 
     @abstractmethod
     def close(self) -> object:

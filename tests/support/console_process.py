@@ -49,7 +49,7 @@ class Console(Closing):
         self.url = self.child.wait_for_output(LINK).removeprefix(LINK).strip()
 
     def new_link(self, card: str = "") -> str:
-        """As `--link` prints it."""
+        """Return a new link, as `--link` prints it."""
         return Sessions(self._folder, self.port).new_link(card)
 
     def sign_in(self, link: str = "") -> "SignedIn":
@@ -76,7 +76,7 @@ class Console(Closing):
 
 
 class SignedIn(NamedTuple):
-    """What a browser keeps of a session: the cookie, as `name=value`, and the page's key."""
+    """A browser's part of a session: the cookie, as `name=value`, and the page's key."""
 
     cookie: str
     key: str
@@ -90,7 +90,7 @@ class SignedIn(NamedTuple):
 
     @property
     def headers(self) -> dict[str, str]:
-        """What its requests carry."""
+        """Return the headers of its requests."""
         return {"Cookie": self.cookie}
 
 
@@ -164,7 +164,7 @@ class Page(Closing):
                 self._kept[message["type"]].append(message)
 
     def answer(self, kind: str, number: int) -> dict[str, Any]:
-        """What came of the message of that number."""
+        """Return the answer to the message of that number."""
         return self.wait(kind, lambda message: message["id"] == number)
 
     def state(self, fits: Callable[[dict[str, Any]], bool] = lambda _: True) -> dict[str, Any]:

@@ -38,16 +38,16 @@ class CutLink(Closing):
         self.fix()
 
     def cut(self) -> None:
-        """Nothing passes from now on, in either direction."""
+        """Let nothing pass from now on, in either direction."""
         self._to_gateway.clear()
         self._to_client.clear()
 
     def hold(self) -> None:
-        """What the client sends waits from now on; what the gateway sends still arrives."""
+        """Hold back what the client sends from now on. What the gateway sends still arrives."""
         self._to_gateway.clear()
 
     def fix(self) -> None:
-        """What has waited passes, and what comes."""
+        """Let everything pass, beginning with what has waited."""
         self._to_gateway.set()
         self._to_client.set()
 

@@ -26,14 +26,14 @@ LOOK_S: Final = 0.5
 
 
 class Run(Closing):
-    """What this process starts from now on, and they in turn; `close` ends what is left of it."""
+    """All processes that this one starts from now on, and theirs; `close` ends those that are left."""
 
     def __init__(self) -> None:
         self.mark = f"{os.environ.get(MARK, '')}/{os.getpid()}-{secrets.token_hex(4)}"
         os.environ[MARK] = self.mark
 
     def processes(self) -> set[int]:
-        """What runs of it: what has the mark, and what was started by that."""
+        """Return the running processes that have the mark, or were started by one of them."""
         parents = dict(_parents())
         found = {pid for pid in parents if self._has_mark(pid)}
         while more := {pid for pid, parent in parents.items() if parent in found} - found:
@@ -52,7 +52,7 @@ class Run(Closing):
                 _wait_for_one_of(left)
 
     def pass_on(self) -> None:
-        """From now on, a signal that would end this process ends its children, in order; without one, this process."""
+        """Have a signal that would end this process end its children, in order; without any, this process."""
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, self._pass_on)
 
@@ -72,7 +72,7 @@ class Run(Closing):
 
 
 def children(process: int) -> list[int]:
-    """What this process has started and has not ended."""
+    """Return the processes that this process has started and that have not ended."""
     return [pid for pid, parent in _parents() if parent == process]
 
 

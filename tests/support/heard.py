@@ -89,7 +89,7 @@ def is_stop(frame: FrameRecord) -> bool:
 
 
 def last_angles(records: list[FrameRecord]) -> dict[int, float]:
-    """Where each servo was sent last before its Stop, in degrees; in the order in which they were first sent."""
+    """Return each servo's last angle before its Stop, in degrees, in the order of their first frames."""
     ops = (each for record in records for each in decode(bytes.fromhex(record.bytes)).servos)
     return {servo_id: op.angle_cdeg / 100 for servo_id, op in ops if op.op is not Op.STOP}
 

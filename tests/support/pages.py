@@ -20,12 +20,12 @@ exec "$@"
 
 
 def blocks(page: str, language: str) -> list[str]:
-    """What stands in a page's code blocks of this language."""
+    """Return the text of a page's code blocks of this language."""
     return re.findall(rf"^```{language}\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
 
 
 def section(page: str, heading: str) -> str:
-    """What a page has under a heading or a sentence in bold, until the next heading."""
+    """Return a page's text under a heading or a sentence in bold, until the next heading."""
     _, found, rest = page.partition(heading)
     assert found, f"the page has no {heading!r}"
     return re.split(r"^#", rest, maxsplit=1, flags=re.MULTILINE)[0]

@@ -22,7 +22,7 @@ class Board:
         self.reset()
 
     def reset(self) -> None:
-        """As its supply comes: asleep, all outputs full-off, 200 Hz."""
+        """Power the board up: asleep, all outputs full-off, 200 Hz."""
         self._registers = bytearray(256)
         self._registers[_MODE1] = _SLEEP | 0x01
         self._registers[_PRESCALE] = 0x1E
@@ -54,14 +54,14 @@ class Board:
 
 
 class I2cBus:
-    """What `smbus2.SMBus` is, of these boards."""
+    """Stands for `smbus2.SMBus`, with these boards on it."""
 
     def __init__(self, *addresses: int) -> None:
         self.boards = {address: Board() for address in addresses}
         self.is_open = 0
 
     def smbus(self, _number: int) -> "I2cBus":
-        """In place of `smbus2.SMBus`."""
+        """Open the bus, as `smbus2.SMBus` does."""
         self.is_open += 1
         return self
 
@@ -89,7 +89,7 @@ class I2cBus:
 
 @contextmanager
 def in_place_of_smbus2(bus: I2cBus) -> Iterator[None]:
-    """For the example's `from smbus2 import SMBus`."""
+    """Serve the example's `from smbus2 import SMBus`."""
     module = ModuleType("smbus2")
     module.SMBus = bus.smbus  # type: ignore[attr-defined]
     with patch.dict(sys.modules, {"smbus2": module}):

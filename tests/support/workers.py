@@ -10,7 +10,7 @@ from tests.support import schedule
 
 
 class Workers(LoadScopeScheduling):  # type: ignore[misc]  # xdist says nothing of its types
-    """By the groups of the schedule."""
+    """Distributes tests by the groups of the schedule."""
 
     def __init__(self, config: pytest.Config, log: Any = None) -> None:
         super().__init__(config, log)

@@ -50,7 +50,7 @@ class Transfer:
 
 @dataclass
 class Message:
-    """What Linux worked on as one."""
+    """The transfers that Linux carried out as one."""
 
     transfers: list[Transfer] = field(default_factory=list)
     status: int = 0
