@@ -57,8 +57,8 @@ class OpenFiles:
         _ = self._pids
 
     def holders(self, path: str) -> list[Holder]:
-        """Return who has this file open."""
-        return self._described(os.path.realpath(path))
+        """Return who has this file open, also by its path in a container."""
+        return self._described(*(each for each in self._pids if each.endswith(os.path.realpath(path))))
 
     def listeners(self, endpoint: str) -> list[Holder]:
         """Return who listens on this port of `tcp/127.0.0.1:7447`, on the same or on all addresses."""

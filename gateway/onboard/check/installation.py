@@ -35,8 +35,8 @@ _HARMLESS: Final = frozenset(
     ("Description", "After", "Wants", "Environment", "ReadWritePaths", "CPUWeight", "IOWeight", "LogLevelMax")
 )
 """Keys that a drop-in may set. A Stop may depend on any other."""
-_OURS: Final = re.compile(r"\b(?:HEXAPOD_|PYTHON|GATEWAY_)\w+")
-"""Variables that change what the service does."""
+_OURS: Final = re.compile(r"\b(?:HEXAPOD_|PYTHON|GATEWAY_(?!HANDOVER_))\w+")
+"""Variables that change what the service does; what it hands to itself in a restart is none of them."""
 _ASSIGNED: Final = re.compile(r"^[ \t]*(\w+)[ \t]*=[ \t]*(.*?)[ \t]*$", re.MULTILINE)
 _ASK_POWER_SAVE, _DISABLED_BYTE = 0x8B2D, 21  # SIOCGIWPOWER; a struct iwreq begins with the name in 16 bytes
 

@@ -154,6 +154,7 @@ PLANTED: tuple[tuple[Plant, str], ...] = (
     (lambda robot: robot.keys("old.key"), "zenoh/old.key is the authority's key"),
     (lambda robot: robot.keys("ca.key"), "zenoh/ca.key is the authority's key"),
     (lambda _: None, ""),
+    (lambda robot: robot.runs("GATEWAY_HANDOVER_ESTOP=1\0"), ""),
     (lambda robot: robot.drop_in("# ExecStopPost=\n;User=root\nCPUWeight=9"), ""),
     (lambda robot: robot.drop_in("Environment=LANG=C"), ""),
 )
