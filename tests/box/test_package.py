@@ -157,7 +157,9 @@ def test_a_removal_that_was_cut_off_is_undone_by_the_package(robot: Robot, packa
     box.run("sh", "-c", f"echo 'kill -KILL $PPID' >>/var/lib/dpkg/info/{NAME}.prerm")
     dpkg(box, "dpkg", "--remove", NAME, check=False)
     told = robot.gateway("check", check=False)
-    assert "1.1.0 is only partly installed: dpkg was interrupted → sudo apt install ./hexapod-gateway_VERSION" in told
+    assert (
+        "1.1.0 is only partly installed: dpkg was interrupted → sudo dpkg --install ./hexapod-gateway_VERSION" in told
+    )
     install(box, packages.make("1.1.0"))
     robot.is_at_work("1.1.0")
     robot.unit.systemctl("stop")
