@@ -12,6 +12,8 @@ from schemas.robot import JOINTS, LEGS
 
 _LIMB_M: Final = 0.025
 _FOOT_M: Final = 0.012
+_FOOT_KG: Final = 0.001
+"""The tibia's mass includes the foot. Without one of its own, pybullet adds 1 kg a foot."""
 _TIP_M: Final = 0.005
 """Radius for collisions. With the larger drawn radius, the foot would roll 4 mm further each step."""
 BODY_HEIGHT_M: Final = 0.05
@@ -63,7 +65,10 @@ def _leg(geometry: Geometry, leg: int) -> Iterator[Xml.Element]:
         parent = name
     foot, radii_m = link_name(leg, "foot"), {"visual": _FOOT_M, "collision": _TIP_M}
     shapes = (_shape(kind, "foot", _ZERO, _ZERO, _tag("sphere", radius=str(each))) for kind, each in radii_m.items())
-    yield _tag("link", *shapes, name=foot)
+    moment = _numbers(0.4 * _FOOT_KG * _FOOT_M**2)
+    inertia = _tag("inertia", ixx=moment, iyy=moment, izz=moment, ixy="0", ixz="0", iyz="0")
+    mass = _tag("inertial", _origin(_ZERO, _ZERO), _tag("mass", value=_numbers(_FOOT_KG)), inertia)
+    yield _tag("link", mass, *shapes, name=foot)
     place = _place(geometry.foot.origin_xyz_m, _ZERO, parent, foot)
     yield _tag("joint", *place, name=f"{foot}_joint", type="fixed")
 

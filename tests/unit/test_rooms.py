@@ -18,6 +18,7 @@ ROOMS: Final = (
     ("model", "geometry"),
     ("host", "certs"),
     ("zenoh_config",),
+    ("people.numbers",),
     ("robot.core", "people.walking"),
     ("robot.settings", "robot.protocol", "people.physics"),
     ("robot.host", "people.client"),
@@ -128,6 +129,7 @@ def test_the_middle_is_pure() -> None:
             *ALSO_PURE,
             "robot.power",
             "people.ros2",
+            "people.numbers",
         }, path
         assert not names & {"gateway.robot.power.line", "gateway.robot.power.slcan", "can"}, path
 

@@ -169,8 +169,28 @@ def test_a_recording_is_played_again(patient: Gateway, tmp_path: Path) -> None:
         assert max(moved(again)[32]) - min(moved(again)[32]) >= 15_00
 
 
+def test_a_recording_without_its_end_is_read_as_far_as_it_goes(tmp_path: Path) -> None:
+    ride = tmp_path / "ride.mcap"
+    recorded(ride)
+    example = runpy.run_path(str(EXAMPLES / "replay.py"))
+    whole = list(example["poses"](ride))
+    ride.write_bytes(ride.read_bytes()[:-200])
+    assert list(example["poses"](ride)) == whole
+    ride.write_bytes(ride.read_bytes()[: ride.stat().st_size // 2])
+    assert len(list(example["poses"](ride))) <= len(whole)
+
+
+def test_a_leg_that_runs_goes_slowly_to_the_first_pose() -> None:
+    """At most so many degrees in a setpoint; a leg at rest starts where the recording begins."""
+    example = runpy.run_path(str(EXAMPLES / "replay.py"))
+    way = list(example["eased"]({1: (0.0, 90.0, 90.0)}, {1: (90.0, 90.0, 90.0), 2: (10.0, 20.0, 30.0)}, 180))
+    assert [each[1][0] for each in way] == pytest.approx([3.6 * step for step in range(1, 26)])
+    assert {each[2] for each in way} == {(10.0, 20.0, 30.0)}
+    assert way[-1][1] == (90.0, 90.0, 90.0)
+
+
 def test_a_real_robot_is_moved_on_request_only(tmp_path: Path) -> None:
-    """Nothing else asks it, and its legs would go to the first pose at once."""
+    """Nothing else asks it."""
     example = runpy.run_path(str(EXAMPLES / "replay.py"))
 
     real = SimpleNamespace(state=lambda: SimpleNamespace(simulated=False))

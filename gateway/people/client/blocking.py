@@ -2,6 +2,7 @@
 
 import json
 import math
+import operator
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
@@ -294,7 +295,7 @@ class Client:
 
     def reset(self, estop: int | None = None, *, check: bool = True) -> Ack:
         """Leave emergency stop number `estop` (None: the latest). Raises RejectedError if there is a newer one."""
-        payload = {"estop": self.state().estop if estop is None else estop}
+        payload = {"estop": operator.index(self.state().estop if estop is None else estop)}
         return self._move(check, lambda: (keys.RESET, payload))
 
     # ---- calibration and revocation

@@ -7,6 +7,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, Literal, Protocol, SupportsFloat, SupportsIndex, TypeGuard, cast
 
 from gateway.errors import OutOfRangeError
+from gateway.people.numbers import plain
 from schemas.robot import JOINTS, LEGS, MAX_DEG, SERVO_IDS
 
 if TYPE_CHECKING:
@@ -138,7 +139,7 @@ def calibration_payload(
         "landing": {str(name): None if angle is None else number(angle) for name, angle in landing.items()},
     }
     if revision is not None:
-        payload["revision"] = revision
+        payload["revision"] = operator.index(revision)
     if accept_default:
         payload["accept_default"] = True
     return payload
@@ -187,9 +188,6 @@ def number(angle: object, unit: Unit = "deg", which: str = "") -> float:
 def _plain(angle: object) -> float:
     if type(angle) is float or type(angle) is int:  # a stream's, usually
         return angle
-    if type(angle).__name__ not in ("bool", "bool_"):  # Python's, numpy's
-        if isinstance(angle, SupportsFloat):
-            return float(angle)
-        if isinstance(angle, SupportsIndex):
-            return operator.index(angle)
-    raise TypeError(f"an angle is a number of degrees, and not {angle!r}")
+    if (found := plain(angle)) is None:
+        raise TypeError(f"an angle is a number of degrees, and not {angle!r}")
+    return found

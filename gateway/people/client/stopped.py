@@ -23,9 +23,9 @@ STOPPED_LEGS: Final = (Kind.WATCHDOG_EXPIRED, Kind.OVERFLOW)
 """Events of single legs that a rule of the gateway stopped."""
 STOP: Final = "stop"
 """The cause of a StoppedError if somebody sent a Stop."""
-AGAIN: Final = "start_again() goes on; recover() of a stream waits until the cause is over, and goes on then"
+AGAIN: Final = "start_again() goes on; a stream's recover() first waits until the cause is over"
 """A program's next call, as a note of the error. Tracebacks show a note, `str()` does not."""
-DECIDES: Final = "start_again() goes on, which a person decides"
+DECIDES: Final = "a person decides: start_again() goes on; recover() of a stream raises this again"
 """The note of an error whose cause does not end by itself."""
 _PASSING: Final = (
     Kind.WATCHDOG_EXPIRED, Kind.OVERFLOW, Kind.ESTOP_ENGAGED, Kind.BUS_FAULT, Kind.CONTROLLER_SILENT,

@@ -10,6 +10,7 @@ from typing import Final, NamedTuple, Self
 
 from gateway.errors import WalkError
 from gateway.geometry.kinematics import Quaternion, Vector, from_rpy, rotated
+from gateway.people.numbers import plain
 
 Matrix = tuple[Vector, Vector, Vector]
 """A rotation, by rows."""
@@ -54,12 +55,15 @@ class Velocity(NamedTuple):
     @classmethod
     def checked(cls, forward_m_s: float, left_m_s: float, turn_rad_s: float) -> Self:
         """Return a program's velocity. Raises WalkError unless all are finite numbers up to ABSURD."""
-        for name, value in (("forward_m_s", forward_m_s), ("left_m_s", left_m_s), ("turn_rad_s", turn_rad_s)):
-            if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-                raise WalkError(f"{name} is {value!r}; a velocity is a finite number")
+        found = []
+        for name, given in (("forward_m_s", forward_m_s), ("left_m_s", left_m_s), ("turn_rad_s", turn_rad_s)):
+            value = plain(given)
+            if value is None or not math.isfinite(value):
+                raise WalkError(f"{name} is {given!r}; a velocity is a finite number")
             if abs(value) > ABSURD:
                 raise WalkError(f"{name} is {value:g}; no walking robot does more than {ABSURD:g}")
-        return cls(float(forward_m_s), float(left_m_s), float(turn_rad_s))
+            found.append(value)
+        return cls(*found)
 
     @property
     def moves(self) -> bool:

@@ -9,6 +9,7 @@ from typing import Final
 
 from gateway.errors import WalkError
 from gateway.geometry import MAX_SPEED_DEG_S
+from gateway.people.numbers import plain
 from gateway.people.walking.gaits import Gait
 from gateway.people.walking.motion import STILL, Odometry, Velocity, WalkState
 from gateway.people.walking.robot import LIFT_M, Pose, Robot
@@ -112,11 +113,12 @@ class Distance:
     def __init__(self, amount: float, *, turns: bool) -> None:  # mutants accepted (Step): the first tick sets it
         """Metres, forward above 0; `turns`: radians, counter-clockwise above 0. Raises WalkError above 20 m or 4π."""
         name, most, meant = ("radians", MOST_RAD, "degrees") if turns else ("metres", MOST_M, "millimetres")
-        if isinstance(amount, bool) or not isinstance(amount, int | float) or not math.isfinite(amount):
+        value = plain(amount)
+        if value is None or not math.isfinite(value):
             raise WalkError(f"{name} is {amount!r}; a distance is a finite number")
-        if abs(amount) > most:
-            raise WalkError(f"{name} is {amount:g}, and at most {most:.4g} are taken; are these {meant}?")
-        self._amount = float(amount)
+        if abs(value) > most:
+            raise WalkError(f"{name} is {value:g}, and at most {most:.4g} are taken; are these {meant}?")
+        self._amount = value
         self._turns = turns
         self._begin: Odometry | None = None
         self._nearest, self._nearer_s = math.inf, 0.0

@@ -5,13 +5,16 @@ import math
 import re
 from collections.abc import Callable
 from decimal import Decimal
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
 import pytest
 
-from gateway.errors import OutOfRangeError
+from gateway.errors import OutOfRangeError, WalkError
 from gateway.people.client.payloads import leg_number, leg_payload, legs_angles, legs_payload, number, servo_number
+from gateway.people.walking.motion import Velocity
+from gateway.people.walking.tempo import Distance
 from schemas.telemetry import Reason
 
 
@@ -101,3 +104,20 @@ def test_what_is_no_angle_leg_or_servo_is_reported(
 ) -> None:
     with pytest.raises(error, match=re.escape(sentence)):
         call(wrong)
+
+
+@pytest.mark.parametrize("kind", [np.float16, np.float32, np.int64, np.array, int, Fraction])
+def test_every_number_is_a_velocity_and_a_distance(kind: Callable[[float], Any]) -> None:
+    assert Velocity.checked(kind(1), kind(0), kind(-1)) == (1.0, 0.0, -1.0)
+    assert Distance(kind(1), turns=False)
+    assert number(kind(1)) == 1.0
+
+
+@pytest.mark.parametrize("value", [True, np.True_, np.array(True), "1", None, np.array([1.0, 2.0])])
+def test_a_bool_a_text_and_several_are_no_number(value: Any) -> None:
+    with pytest.raises(WalkError, match="a velocity is a finite number"):
+        Velocity.checked(value, 0, 0)
+    with pytest.raises(WalkError, match="a distance is a finite number"):
+        Distance(value, turns=True)
+    with pytest.raises(TypeError, match="an angle is a number"):
+        number(value)
