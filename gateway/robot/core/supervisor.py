@@ -3,6 +3,19 @@
 No I/O, no clock, no logger. Time is an argument, in ns of the monotonic clock, and never goes back. The service carries
 out the effects in their order. If a frame cannot be written, `BusFailed` follows.
 
+A step has this order; the code has the same numbers:
+
+0. A setpoint for running servos that meets no rule goes the usual way, and the step ends.
+1. Deadlines of the rules that have one of their own: lease, buttons.
+2. What brings the robot down: a rule under which no servo may run.
+3. Deadlines of legs: a command's, and the power board's. An event comes after deadlines, for which it is too late.
+4. What the event halts. A halt voids 2 and 3.
+5. Starts that have waited long enough to be judged.
+6. The event itself.
+7. What became due: repeated Stops, and frames whose rate slot has come, which the event may have used.
+8. Stops for legs at rest.
+9. The plan: what is due next, and the mode. Stops precede all other effects.
+
 Each rule that may keep the robot from moving, or bring it down, is an `Interlock` (lease, buttons, body, power,
 calibration, landing, `stop-servos`, emergency stop), in the `ORDER` below. A request is rejected with the reason of the
 first interlock that objects. A rule's Stops precede the answer to its event.
@@ -144,6 +157,7 @@ class Supervisor:
         IllegalEvent, and changes nothing, if this mode does not accept the event (`LEGAL`).
         """
         kind, legs = type(event), self.legs
+        # 0. the usual way
         if type(event) is Command and now_ns < self.usual_ns:
             usual = self._usual(event, now_ns, now_ns if instant_ns is None else instant_ns)
             if usual is not None:
@@ -153,34 +167,42 @@ class Supervisor:
             raise IllegalEvent(f"{kind.__name__} while {self.mode}")
         legs.begin(now_ns if instant_ns is None else instant_ns)
         effects: list[Effect] = []
+        # 1. deadlines of rules
         for each in self._interlocks:
             if each.due_ns is not None and now_ns >= each.due_ns:
                 effects += each.expire(now_ns)
-        # An event comes after deadlines, for which it is too late, and before rate slots, which it may use.
         due = legs.sends and self.due_ns is not None and now_ns >= self.due_ns
         if own is not None and self._ended and kind in _NOT_AT_THE_END:
             own = None
         halt = None if own is None else own.halts(event)
+        # 2. what brings the robot down
         if halt is not None or kind in _STOPS_ALL:
             due = False
         else:
             for each in self._interlocks:
                 if each.down is not None:
                     effects += each.bring_down(now_ns)
+        # 3. deadlines of legs
         if due:
             for each in reversed(self._interlocks):  # the watchdog lands no robot for a leg that another rule stops
                 effects += each.overdue(now_ns)
         self.watchdog.closed = legs.landing_ends_ns is not None
+        # 4. what the event halts
         if halt is not None:
             effects += self._stop_all(halt, now_ns)
+        # 5. starts that are judged
         if self.backlog.held:
             effects += self.backlog.expire(now_ns)
+        # 6. the event
         effects += self._take(event, now_ns) if own is None else self._take_own(own, event, now_ns)
+        # 7. what became due
         if due:
             effects += legs.stops.repeat(now_ns, at_rest=legs.at_rest)
             effects += legs.take_slots(now_ns)
+        # 8. Stops for legs at rest
         if legs.sends:
             effects += legs.stops.round(now_ns, ran=not legs.at_rest, runs=legs.running)
+        # 9. the plan
         legs.plan(now_ns)
         if legs.landing_ends_ns is not None and legs.at_rest:
             legs.landing_ends_ns = None  # clients have stopped all landing servos
