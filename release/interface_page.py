@@ -50,7 +50,8 @@ def tables() -> dict[str, str]:
         seen.setdefault(frozenset(rows), name)
         found[f"### {name}"] = _table(("field", "type", "meaning"), _joined(rows))
     for words in _WORDS:
-        found[f"### {words.__name__}"] = _table(("value", "meaning"), _words(words))
+        head = ("value", "meaning", "stops") if words is Kind else ("value", "meaning")
+        found[f"### {words.__name__}"] = _table(head, _words(words))
     found["## Settings"] = _table(("setting", "default", "range", "meaning"), settings_rows())
     commands = (*_commands(typer.main.get_command(app), []), *_commands(typer.main.get_command(setup.app), ["setup"]))
     found["## Commands"] = _table(("command", "does", "options"), commands)
@@ -65,7 +66,8 @@ def _table(head: tuple[str, ...], rows: Rows) -> str:
 
 
 def _words(words: type[Value]) -> Rows:
-    return [(f"`{each}`", each.meaning) for each in words]
+    stops = [("`true`" if each.stops else "",) if isinstance(each, Kind) else () for each in words]
+    return [(f"`{each}`", each.meaning, *more) for each, more in zip(words, stops, strict=True)]
 
 
 def _fields(document: Node, name: str) -> Iterator[Field]:

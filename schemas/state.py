@@ -53,6 +53,9 @@ class StateReport(ChangingState):
     sources: Annotated[
         tuple[str, ...], Field(max_length=len(LEGS), description="senders of the commands in force")
     ] = ()
+    source_ids: Annotated[
+        tuple[str | None, ...], Field(max_length=len(LEGS), description="their Zenoh ids; null: not in the command")
+    ] = ()
 
     def fitted(self) -> "StateReport":
         """Return the report, with its texts cut if it is too long."""
@@ -104,8 +107,13 @@ def _legs(state: StateReport) -> Iterator[LegReport]:
             watchdog=legs.watchdog[row],
             age_ms=legs.age_ms[row],
             servos=(first, second, third),
-            source=None if place is None or place >= len(state.sources) else state.sources[place],
+            source=_at(state.sources, place),
+            source_id=_at(state.source_ids, place),
         )
+
+
+def _at(column: tuple[T, ...], place: int | None) -> T | None:
+    return None if place is None or place >= len(column) else column[place]
 
 
 def _cut(text: T, most: int) -> T:

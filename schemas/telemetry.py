@@ -77,50 +77,58 @@ class Mode(Value):
 
 
 class Kind(Value):
-    """What an event reports."""
+    """What an event reports, and whether legs stop by it."""
+
+    stops: bool
+
+    def __new__(cls, value: str, meaning: str = "", stops: bool = False) -> Self:
+        member = str.__new__(cls, value)
+        member._value_, member.meaning, member.stops = value, meaning, stops
+        return member
 
     STARTED = "started", "commands are accepted from now on"
     COMMAND_REJECTED = "command_rejected", "a command took no effect"
-    WATCHDOG_EXPIRED = "watchdog_expired", "a leg was silent and is stopped"
-    ESTOP_ENGAGED = "estop_engaged", "an emergency stop was requested"
+    WATCHDOG_EXPIRED = "watchdog_expired", "a leg was silent and is stopped", True
+    ESTOP_ENGAGED = "estop_engaged", "an emergency stop was requested", True
     ESTOP_RESET = "estop_reset", "the emergency stop was left"
     ESTOP_KEPT = "estop_kept", "the gateway started with the emergency stop engaged"
     ESTOP_NOT_KEPT = "estop_not_kept", "the emergency stop, or its end, could not be written to disk"
-    BUS_FAULT = "bus_fault", "a transfer failed"
+    BUS_FAULT = "bus_fault", "a transfer failed", True
     BUS_RECOVERED = "bus_recovered", "the device answers again; all servos are stopped"
-    STOPPING = "stopping", "the gateway ends"
-    STOPPED_OUTSIDE = "stopped_outside", "`stop-servos` stopped the servos"
+    STOPPING = "stopping", "the gateway ends", True
+    STOPPED_OUTSIDE = "stopped_outside", "`stop-servos` stopped the servos", True
+    LEGS_STOPPED = "legs_stopped", "a Stop reached `legs`, which ran or waited to start; `cause` is why", True
     SOURCE_CHANGED = "source_changed", "another source commands or stops a running leg"
     LEASE_ACQUIRED = "lease_acquired", "somebody drives from now on"
     LEASE_RELEASED = "lease_released", "the holder released the lease or handed it over"
     LEASE_EXPIRED = "lease_expired", "the holder, or the nominee, was silent for too long"
-    LEASE_TAKEN = "lease_taken", "somebody stopped all legs and took the lease"
+    LEASE_TAKEN = "lease_taken", "somebody stopped all legs and took the lease", True
     LEASE_ASKED = "lease_asked", "somebody asks the holder for the lease"
     LANDING = "landing", "the robot goes to its landing pose; `watchdog_expired` follows"
     CALIBRATED = "calibrated", "a changed calibration is in force and kept"
-    OVERFLOW = "overflow", "messages of one key were lost, perhaps a Stop: its servos are stopped"
+    OVERFLOW = "overflow", "messages of one key were lost, perhaps a Stop: its servos are stopped", True
     BUS_MEDDLED = "bus_meddled", "another program changed the SPI settings; they are restored, and `bus_fault` follows"
     REVOKED = "revoked", "a newer list is in force: the gateway restarts; or the stored list was older"
     BUTTON_REGISTERED = "button_registered", "a button is registered and replaces an older one of its name"
     BUTTON_SILENT = "button_silent", "a button was silent for too long"
     BUTTON_LEFT = "button_left", "a button left"
     BUTTON_RETURNED = "button_returned", "a silent button checks in again"
-    CONTROLLER_SILENT = "controller_silent", "heartbeats or answers are missing: all servos are stopped"
-    CONTROLLER_RESTARTED = "controller_restarted", "the controller may have restarted: all servos are stopped"
+    CONTROLLER_SILENT = "controller_silent", "heartbeats or answers are missing: all servos are stopped", True
+    CONTROLLER_RESTARTED = "controller_restarted", "the controller may have restarted: all servos are stopped", True
     CONTROLLER_RETURNED = "controller_returned", "heartbeats and answers arrive again"
     BATTERY_LOW = "battery_low", "starts are rejected; running servos go on"
-    FALLEN = "fallen", "the body tilted too far: all legs stop or land"
+    FALLEN = "fallen", "the body tilted too far: all legs stop or land", True
     POWER_CUT = "power_cut", "the power board is to cut the supply of these legs"
     POWER_RESTORED = "power_restored", "servos are fed again"
     POWER_UNCONFIRMED = "power_unconfirmed", "the board has not confirmed the supply off: **switch it off by hand**"
     POWER_FAULT = "power_fault", "a fault of the board, or another program switches servos through it"
     SERVO_DRAWS = "servo_draws", "a stopped servo draws current"
     SERVO_SILENT = "servo_silent", "a running servo draws nothing for 1 s"
-    OFF_BUTTON = "off_button", "the board's off button was pressed: all legs are stopped"
+    OFF_BUTTON = "off_button", "the board's off button was pressed: all legs are stopped", True
 
 
 class Cause(Value):
-    """Why a frame was written."""
+    """Why a frame was written, or legs were stopped."""
 
     COMMAND = "command", "for a command"
     WATCHDOG = "watchdog", "a leg was silent, or too few buttons were alive"
@@ -223,12 +231,15 @@ class LegReport(Report):
     age_ms: float | None
     servos: tuple[ServoReport, ServoReport, ServoReport]
     source: str | None = None
+    source_id: str | None = None
 
-    def is_of(self, source: str) -> bool:
-        """Whether `source`'s command is in force. A long name may be cut in the report."""
-        shown = self.source or ""
+    def is_of(self, source: str, source_id: str | None = None) -> bool:
+        """Whether this sender's command is in force. A long name may be cut in the report, and an id be unknown."""
+        shown, known = self.source or "", None not in (source_id, self.source_id)
+        if known and source_id != self.source_id:
+            return False
         begin = shown.removesuffix(CUT)
-        return shown == source or (begin not in ("", shown) and source.startswith(begin))
+        return shown == source or (begin != shown and (known or begin != "") and source.startswith(begin))
 
     @property
     def running(self) -> bool:
@@ -537,13 +548,15 @@ class Event(Report):
 
     time: Annotated[AwareDatetime, Field(description="when")]
     kind: Annotated[AnyKind, Field(description="what happened")]
-    source: Annotated[str | None, Field(description="who caused it")]
+    source: Annotated[str | None, Field(description="the name of who caused it")]
+    source_id: Annotated[str | None, Field(description="the Zenoh id of who caused it, if the message had it")] = None
     key: Annotated[str | None, Field(description="of the command")]
     reason: Annotated[AnyReason | None, Field(description="of a rejection or an overflow")]
     detail: Annotated[str, Field(description="one sentence")]
     left_out: Annotated[Count, Field(description="such events left out before this one (Behaviour *Events*)")] = 0
     legs: Annotated[tuple[int, ...], Field(description="legs that stop, land, change their source or are named")] = ()
     incident: Annotated[str | None, Field(description="id of its incident in the black box")] = None
+    cause: Annotated[AnyCause | None, Field(description="of `legs_stopped`")] = None
 
 
 class FrameRecord(Report):

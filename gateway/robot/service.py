@@ -354,7 +354,8 @@ class _Service:
             conductor.metrics.loop_lag.record(lag_ns)
             conductor.recorder.beat(lag_ns)
             if found is not None:
-                conductor.executor.reject_unread(*found)
+                key, source, detail = found
+                conductor.executor.reject_unread(key, (source, source), detail)
             for publish in wanted:
                 publish()
         with self.owner:  # again, so that an emergency stop need not wait for both

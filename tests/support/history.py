@@ -1,6 +1,6 @@
 """What a judge of the supervisor remembers of servos and legs; see `oracle.py`."""
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeVar
 
@@ -8,7 +8,7 @@ from gateway.allowance import NS_PER_S
 from gateway.model.frames import Op, ServoOp
 from gateway.robot.core import events
 from gateway.robot.core.rules import Rules
-from schemas.telemetry import Kind, Mode, Reason
+from schemas.telemetry import Cause, Kind, Mode, Reason
 
 CLOSED = {Mode.STOPPING: Reason.STOPPING, Mode.BUS_FAULT: Reason.BUS_FAULT, Mode.ESTOPPED: Reason.ESTOPPED}
 """Modes in which every command is rejected, and for what."""
@@ -38,6 +38,25 @@ def is_announced(effects: Iterable[events.Effect], kind: Kind) -> bool:
 def announced(effects: Iterable[events.Effect], kinds: Collection[Kind]) -> list[events.Announce]:
     """Return the announced events of these kinds."""
     return [effect for effect in effects if isinstance(effect, events.Announce) and effect.kind in kinds]
+
+
+def judge_halts(
+    effects: Sequence[events.Effect], halted: Sequence[events.Announce], alive: Set[int], ended: Set[int]
+) -> None:
+    """Each first Stop of a servo that was `alive` is announced with its cause; nothing else that has not `ended` is."""
+    written = {
+        (effect.cause, servo_id // 10)
+        for effect in effects
+        if isinstance(effect, events.Transmit) and effect.cause is not Cause.REPEAT
+        for servo_id, op in effect.frame.servos
+        if op.op is Op.STOP and servo_id in alive & ended
+    }
+    told = [(each.cause, leg) for each in halted for leg in each.legs]
+    stopped = {leg for _, leg in written}  # a second cause in the step finds it stopped
+    demand({leg for each, leg in told if (each, leg) in written} == stopped, f"not as announced: {written}, {told}")
+    demand({leg for _, leg in told} <= {each // 10 for each in ended}, f"not stopped, and announced: {told}")
+    causes = [(each.cause, each.source, each.source_id) for each in halted]
+    demand(len(set(causes)) == len(causes) and all(each.legs for each in halted), f"once for each cause: {causes}")
 
 
 def spelled_out(effects: Iterable[events.Effect]) -> Iterator[events.Effect]:

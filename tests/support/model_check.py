@@ -82,17 +82,17 @@ _KNOWN: Final = (
     (_ROBOT.outside, "_rules _legs"),
     (_ROBOT.watchdog, "_rules _legs expirations"),
     (_ROBOT.latch, "_rules _legs number since_ns unknown"),
-    (_ROBOT.lease, "_rules _legs holder since_ns due_ns closed _token _askers"),
+    (_ROBOT.lease, "_rules _legs holder _holder_id since_ns due_ns closed _token _askers"),
     (_ROBOT.buttons, "_rules _legs _by_token closed alive due_ns objection down"),
     (_ROBOT.body, "_rules _legs watches low unknown closed beyond_ns objection"),
     (_ROBOT.power, "_rules _legs alive closed _refused"),
     (_ROBOT.backlog, "_rules _legs _stretches _judged_ns held"),
     (_ROBOT.backlog, "_instant_ns _floor_ns _noted_ns"),  # so short a time excuses no message
     (Stretch, "begun_ns last_ns count instant_ns room score servos"),
-    (Registration, "name holder counts count until_ns silent offset_ns newest_ns least_ns"),
+    (Registration, "name holder counts count until_ns source_id silent offset_ns newest_ns least_ns"),
     (_ROBOT.legs.limits, "of_settings pose_of_settings avoid_cdeg calibration wire limited free_cdeg"),
     (_ROBOT.calibrating, "_rules _legs _limits fault saving"),
-    (_ROBOT.legs, "_rules limits by_number _all servos gates _pace stops sends instant_ns landing_ends_ns"),
+    (_ROBOT.legs, "_rules limits by_number _all servos gates _pace stops sends instant_ns landing_ends_ns _halted"),
     (_ROBOT.legs, "due_ns at_rest"),  # these follow from the others: `take` sees to that
     (_ROBOT.legs.gates, "supply stagger burst _gates"),
     (_ROBOT.legs.gates.burst, "judged_ns"),
@@ -102,13 +102,13 @@ _KNOWN: Final = (
     (_ROBOT.legs.stops, "due_ns"),  # follows from the others
     (_ROBOT.legs.stops, "sent silent _first"),  # these count within a step
     (Repeats, "left due_ns"),
-    (Leg, "number servos slots commanded_ns expired source unfed_ns"),
+    (Leg, "number servos slots commanded_ns expired sender unfed_ns"),
     (Servo, "servo_id life angle_cdeg target command begun from_cdeg pace_cdeg_s since_ns passing_cdeg"),
-    (Servo, "source known stopped_ns stopped_by"),
+    (Servo, "sender known stopped_ns stopped_by"),
     (RateSlots, "period_ns oldest_ns next_ns taken_ns"),
     (
         Command,
-        "targets key source sent_ms lease reply verb received_ns number lost rejected moves by_leg",
+        "targets key source source_id sent_ms lease reply verb received_ns number lost rejected moves by_leg",
     ),  # these never change
     (Command, "written stopped"),  # by the executor
     (Command, "left coalesced"),
@@ -278,7 +278,7 @@ def _takeover_key(legs: Legs, servo: Servo, now_ns: int) -> tuple[object, ...]:
         angle_cdeg, stopped_ns, calibration = servo.known
         if calibration is legs.limits.calibration and now_ns - stopped_ns <= legs._rules.takeover_known_ns:
             stood = angle_cdeg, now_ns - stopped_ns
-    return servo.source, stood
+    return servo.sender, stood
 
 
 def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[object, ...]:

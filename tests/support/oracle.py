@@ -35,11 +35,13 @@ from gateway.robot.core.supervisor import Supervisor
 from schemas.telemetry import Cause, Kind, Reason
 from tests.support.history import (
     CLOSED,
+    announced,
     change_hands,
     demand,
     is_announced,
     is_coalesced,
     is_newer,
+    judge_halts,
     judge_results,
     rejections_of,
 )
@@ -63,6 +65,8 @@ class Oracle(RobotHistory):
         judge_results(effects)
         effects = self.calibration.read(effects)
         self._lost = frozenset()
+        halted, lived = announced(effects, {Kind.LEGS_STOPPED}), self.alive
+        effects = [each for each in effects if each not in halted]
         ran = bool(self.energised)
         due = any(servo.owed and now_ns >= servo.owed_ns for servo in self.servos.values())
         self.owing, self.sent_again, self.put_off, self.together = [], [], False, due and not ran
@@ -114,9 +118,9 @@ class Oracle(RobotHistory):
             case BusFailed():
                 first = self.bus_ok or not self.opened
                 stays_away = (self.fault, event.kind) == (Kind.CONTROLLER_RESTARTED, Kind.CONTROLLER_SILENT)
-                announced = first or stays_away
-                self.fault = event.kind if announced else self.fault
-                demand(is_announced(effects, event.kind) == announced, "a fault of the bus is announced once")
+                news = first or stays_away
+                self.fault = event.kind if news else self.fault
+                demand(is_announced(effects, event.kind) == news, "a fault of the bus is announced once")
                 self.opened, self.bus_ok, self.rest_ns, self.runs_left = True, False, None, 0
                 self._all_stopped(effects, Cause.COMMAND, Reason.BUS_FAULT, now_ns)
         keeps = any(isinstance(effect, SaveCalibration) for effect in effects)
@@ -133,6 +137,7 @@ class Oracle(RobotHistory):
         demand(holder == self.lease.holder, f"{self.lease.holder} holds the lease, not {holder}")
         demand(alive == self.buttons.alive, f"{self.buttons.alive} are alive, not {alive}")
         self._after(now_ns, after.due_ns, ran=ran)
+        judge_halts(effects, halted, lived, lived - self.alive)
 
     def _all_stopped(self, effects: Sequence[Effect], cause: Cause, reason: Reason, now_ns: int) -> None:
         frames = [(effect.frame, effect.cause) for effect in effects if isinstance(effect, Transmit)]

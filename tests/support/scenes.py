@@ -28,7 +28,7 @@ from gateway.robot.core.supervisor import Supervisor
 from schemas.calibration import CalibrationCommand, ServoChange
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Kind
-from tests.support.history import is_coalesced, spelled_out
+from tests.support.history import announced, is_coalesced, spelled_out
 from tests.support.model_check import pending
 from tests.support.oracle import Oracle
 from tests.support.small_robots import Targets
@@ -86,6 +86,7 @@ class Scenes:
             self.supervisor.calibrating.load(calibration or RobotCalibration(), fault)
         self.oracle = Oracle(rules, calibration=calibration, fault=fault)
         self.effects: list[events.Effect] = []
+        self.halted: list[events.Announce] = []
         self.instant_ms: float | None = None
         self._number = 0
         if opened:
@@ -94,14 +95,17 @@ class Scenes:
     def take(self, at_ms: float, event: events.Event) -> list[str]:
         """One step; in the instant that began at `instant_ms`, or in one of its own.
 
-        The words leave out the Stops that join first Stops, for legs at rest: the oracle demands each of them.
+        Words and `effects` leave out `legs_stopped`, and words the Stops that join first Stops, for legs at rest: the
+        oracle demands each of them.
         """
         now_ns = _ns(at_ms)
         instant_ns = None if self.instant_ms is None else _ns(self.instant_ms)
         found = self.supervisor.step(event, now_ns, instant_ns)
         self.effects = [_written(each) if isinstance(each, events.Announce) else each for each in found]
         self.oracle.judge(event, now_ns, self.effects, self.supervisor, instant_ns)
-        return [said(effect) for effect in spelled_out(self.effects) if effect not in self.joining]
+        self.halted = announced(self.effects, {Kind.LEGS_STOPPED})
+        self.effects = [each for each in self.effects if each not in self.halted]
+        return [said(each) for each in spelled_out(self.effects) if each not in self.joining]
 
     def do(self, at_ms: float, words: str) -> list[str]:
         """One step; its options stand in parentheses: `(lease anna, key legs)`. `lost leg 2 stop`: messages were lost,
@@ -382,6 +386,7 @@ FACTS: Final[dict[str, Callable[[Scenes, str], tuple[object, object]]]] = {
     "expirations": lambda robot, count: (robot.supervisor.watchdog.expirations, int(count)),
     "pending": lambda robot, _: (pending(robot.supervisor), {}),
     "answers": lambda robot, detail: (robot.only(events.RequestAnswer).detail, detail),
+    "halted": lambda robot, words: ("; ".join(each.detail for each in robot.halted), words),
     "source": lambda robot, name: (robot.only(events.Announce).source, name),
     "key": lambda robot, key: (robot.only(events.Announce).key, key),
     "asked": lambda robot, name: (robot.supervisor.lease.asked_by or "nobody", name),

@@ -44,7 +44,7 @@ def test_tables_are_those_of_the_code(capsys: pytest.CaptureFixture[str]) -> Non
         '| `op` | `"start"` or `"set"` or `"stop"` | energise and set, set, or de-energise |',
         "| `to` | 1 to 64 characters? | with `release`: the next holder, one that asked |",
         "| `legs.age_ms` | 6 × number? | since an accepted start or set; null: none |",
-        "| `servo_silent` | a running servo draws nothing for 1 s |",
+        "| `servo_silent` | a running servo draws nothing for 1 s | |",
     ],
 )
 def test_a_row_states_type_limits_and_meaning(row: str) -> None:

@@ -52,6 +52,7 @@ def fullest(source: str) -> StateReport:
         uptime_s=LONG_MS,
         legs=LegsReport.model_validate(legs),
         sources=tuple(map(name, LEGS)),
+        source_ids=tuple(f"{leg:032x}" for leg in LEGS),
         commands=CommandCounts(accepted=MANY, rejected=MANY, coalesced=MANY, overflows=MANY, lost=MANY),
         spi=SpiCounts(frames=MANY, errors=MANY),
         watchdog=WatchdogCounts(
@@ -94,6 +95,9 @@ def test_no_text_makes_the_state_too_large(source: str, fault: str) -> None:
 def test_a_cut_name_is_still_its_sources() -> None:
     legs = joined(fullest("x" * 64).fitted(), ConfigReport.model_validate(dict(published.state()))).legs
     assert str(legs[0].source).endswith(CUT)
-    assert legs[0].is_of("01" + "x" * 62)
+    name, own, other = "01" + "x" * 62, f"{1:032x}", f"{2:032x}"
+    assert legs[0].is_of(name, own), "by its id, if nothing else is left"
+    assert not legs[0].is_of(name, other)
+    assert legs[0].model_copy(update={"source": "01x" + CUT}).is_of(name)
     assert not legs[0].is_of("02" + "x" * 62)
     assert not legs[0].model_copy(update={"source": CUT}).is_of("anna"), "a name of which nothing is left is nobody's"

@@ -112,10 +112,14 @@ class Client:
 
             raise UnreachedError("\n".join(diagnosis.why(config) if explain else []) or str(error)) from error
         """Open until `close`: after a broken link Zenoh reconnects to any of the hosts, with all declarations."""
+        self._sent_by = zenoh.SourceInfo(self.session.id, 0)
+        """In all messages: who sends them, also if a Stop goes by another session."""
+        self.zid = str(self.session.zid())
+        """The session's Zenoh id, the `source_id` of this client's commands."""
         self.states = States(self.session)
         """Joins states and the configuration. @private"""
-        self.name = str(self.session.info.zid()) if source is None else source
-        """The name in events: `source`, or the session's Zenoh id (which only a stream's commands contain)."""
+        self.name = self.zid if source is None else source
+        """The name in events: `source`, or the session's Zenoh id."""
         self.requests = Requests(partial(self._get, again=False), Identity.of(config), self.name)
         """The requests of leases and stop buttons, and of tools that renew one. @private"""
         self._lease: Lease | None = None
@@ -367,7 +371,7 @@ class Client:
         """Send one command without waiting for an answer. Only `hexapod/event` reports a rejection."""
         data = self._payload(key, payload, self.carried_lease)
         with self._open_session() as session:
-            session.put(key, data, encoding=JSON, express=True)
+            session.put(key, data, encoding=JSON, express=True, source_info=self._sent_by)
 
     # ---- watching
 
@@ -454,7 +458,7 @@ class Client:
     ) -> R:
         timeout_s = timeout_s or self._timeout_s
         end_s = time.monotonic() + timeout_s
-        question = Question(key, payload, answer.model_validate_json, priority)
+        question = Question(key, payload, answer.model_validate_json, priority, self._sent_by)
         other_ways = self._hosts if again and payload is not None else None
         with self._open_session() as session:
             found = question.ask(session, end_s, again=again, other_ways=other_ways)

@@ -5,14 +5,14 @@
 
 from typing import Final, Literal, NamedTuple
 
-from gateway.people.client.stopped import ALL_STOPPED, STOPPED_LEGS
 from schemas.robot import LEGS
 from schemas.telemetry import Ack, AnyKind, GatewayState, Kind, Mode, PowerReport
 
 Tone = Literal["bad", "warn", "plain"]
 
 _BAD: Final = {
-    *(*ALL_STOPPED, *STOPPED_LEGS, Kind.BUS_MEDDLED, Kind.BUTTON_SILENT),
+    *(kind for kind in Kind if kind.stops and kind is not Kind.LEGS_STOPPED),
+    *(Kind.BUS_MEDDLED, Kind.BUTTON_SILENT),
     *(Kind.POWER_CUT, Kind.POWER_UNCONFIRMED, Kind.POWER_FAULT, Kind.SERVO_DRAWS),
 }
 """Events of a stop that nobody commanded leg by leg, or of one that may not have worked."""

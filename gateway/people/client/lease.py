@@ -40,6 +40,7 @@ class DrivingClient(Protocol):
     """The client's part that leases, streams and walks use. The client's commands carry the lease."""
 
     name: str
+    zid: str
     requests: Requests
     reset_command: str
     open_parts: list[Any]

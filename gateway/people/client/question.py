@@ -177,7 +177,12 @@ class Question(Generic[A]):
     """One query and its answer; `ask` may be called once."""
 
     def __init__(
-        self, key: str, payload: str | None, read: Callable[[bytes], A], priority: zenoh.Priority | None = None
+        self,
+        key: str,
+        payload: str | None,
+        read: Callable[[bytes], A],
+        priority: zenoh.Priority | None = None,
+        sent_by: zenoh.SourceInfo | None = None,
     ) -> None:
         """`read` converts bytes to an answer, or raises ValidationError."""
         self.answerers: set[str] = set()
@@ -186,6 +191,7 @@ class Question(Generic[A]):
         self._payload = payload
         self._read = read
         self._priority = priority
+        self._sent_by = sent_by
         self._sessions: list[zenoh.Session] = []
         self._received: SimpleQueue[Callable[[], None] | zenoh.Session | None] = SimpleQueue()
         self._patience: Patience[A]
@@ -236,6 +242,7 @@ class Question(Generic[A]):
             encoding=None if self._payload is None else JSON,
             timeout=max(0.001, end_s - time.monotonic()),
             priority=self._priority,
+            source_info=self._sent_by,
             consolidation=zenoh.ConsolidationMode.NONE,  # otherwise Zenoh delays answers until the query has ended
         )
 

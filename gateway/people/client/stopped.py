@@ -1,26 +1,13 @@
 """Makes errors that state why legs were stopped or commands are not accepted: who, what, and how it ends. Pure."""
 
 import time
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable
 from typing import Final, NamedTuple
 
 from gateway.errors import GatewayError, LeaseLostError, RejectedError, StoppedError
 from gateway.text import legs_named
-from schemas.telemetry import Event, GatewayState, Kind, Mode, Reason
+from schemas.telemetry import Cause, Event, GatewayState, Kind, Mode, Reason
 
-ALL_STOPPED: Final = (
-    Kind.ESTOP_ENGAGED,
-    Kind.BUS_FAULT,
-    Kind.CONTROLLER_SILENT,
-    Kind.CONTROLLER_RESTARTED,
-    Kind.FALLEN,
-    Kind.OFF_BUTTON,
-    Kind.STOPPED_OUTSIDE,
-    Kind.STOPPING,
-)
-"""Events of a gateway that has stopped all legs."""
-STOPPED_LEGS: Final = (Kind.WATCHDOG_EXPIRED, Kind.OVERFLOW)
-"""Events of single legs that a rule of the gateway stopped."""
 STOP: Final = "stop"
 """The cause of a StoppedError if somebody sent a Stop."""
 AGAIN: Final = "start_again() goes on; a stream's recover() first waits until the cause is over"
@@ -30,7 +17,7 @@ DECIDES: Final = "a person decides: start_again() goes on; recover() of a stream
 _PASSING: Final = (
     Kind.WATCHDOG_EXPIRED, Kind.OVERFLOW, Kind.ESTOP_ENGAGED, Kind.BUS_FAULT, Kind.CONTROLLER_SILENT,
     Kind.CONTROLLER_RESTARTED, Kind.STOPPING, Kind.STARTED, Reason.ESTOPPED, Reason.NOT_HOLDER, Reason.NO_BUTTON,
-    Reason.NO_POWER, Reason.LANDING, Reason.STALE,
+    Reason.NO_POWER, Reason.LANDING, Reason.STALE, Kind.LEASE_TAKEN,
 )  # fmt: skip
 """Causes that end without this program. A fall and the board's button are none: somebody may touch the robot."""
 
@@ -51,9 +38,28 @@ class ReceivedEvent(NamedTuple):
     received_s: float
 
 
-def stopped_by(who: str | None, own: str, legs: Collection[int], at_s: float | None = None) -> StoppedError:
-    """Return the error for a Stop by source `who`. `own` is this program's source; `at_s` is when, if known."""
-    name = f"{who} (this program)" if who == own else who or "the gateway, or somebody without a name,"
+UNKNOWN: Final = "the gateway, or somebody without a name,"
+
+
+def tells(event: Event) -> bool:
+    """Return whether an event states why legs stop. `legs_stopped` does for a command; for the rest, another one does.
+
+    An older gateway's event of single legs does not name them.
+    """
+    if event.kind == Kind.LEGS_STOPPED:
+        return event.cause == Cause.COMMAND and event.source is not None
+    return bool(event.legs) or event.kind not in (Kind.WATCHDOG_EXPIRED, Kind.OVERFLOW)
+
+
+def sender(who: str | None, own_name: str, *, own: bool) -> str:
+    """Return who sent a command, for people. `own`: this program did; another one may have its name."""
+    if own:
+        return f"{who} (this program)"
+    return f"another program named {who!r}" if who == own_name else who or UNKNOWN
+
+
+def stopped_by(who: str | None, name: str, legs: Collection[int], at_s: float | None = None) -> StoppedError:
+    """Return the error for a Stop by source `who`, here called `name`. `at_s` is when, if known."""
     return StoppedError(f"{name} stopped {legs_named(legs)}", legs, who, STOP, at_s)
 
 
@@ -63,17 +69,26 @@ def expired(legs: Collection[int], timeout_ms: float, at_s: float | None = None)
     return StoppedError(sentence, legs, None, Kind.WATCHDOG_EXPIRED, at_s)
 
 
-def reported(stops: Iterable[ReceivedEvent], started: frozenset[int], timeout_ms: float) -> StoppedError:
-    """Return the error for all events that stopped a stream's legs (`started`), each cause once."""
+def reported(
+    stops: Iterable[ReceivedEvent], started: frozenset[int], timeout_ms: float, name_of: Callable[[Event], str]
+) -> StoppedError:
+    """Return the error for all events that stopped a stream's legs (`started`), each cause once.
+
+    `name_of` returns the sender of an event, for people.
+    """
     causes: dict[tuple[str, str | None], list[ReceivedEvent]] = {}
     for each in stops:
         causes.setdefault((each.event.kind, each.event.source), []).append(each)
     errors = []
     for (kind, who), found in causes.items():
+        if kind == Kind.LEGS_STOPPED and any(other != kind for other, source in causes if source == who):
+            continue  # the other event states the reason
         event, at_s = found[-1]
         legs = frozenset[int]().union(*(started.intersection(each.event.legs) or started for each in found))
         if kind == Kind.WATCHDOG_EXPIRED:
             errors.append(expired(legs, timeout_ms, at_s))
+        elif kind == Kind.LEGS_STOPPED:
+            errors.append(stopped_by(who, name_of(event), legs, at_s))
         else:
             errors.append(StoppedError(happened(event), legs, who, kind, at_s))
     chief = next((each for each in errors if not passes(each)), errors[0])

@@ -23,14 +23,12 @@ from gateway.people.client.payloads import LegAngles, Setpoints, Unit, legs_angl
 from gateway.people.client.stopped import ReceivedEvent
 from gateway.text import legs_named
 from schemas import keys
-from schemas.telemetry import Ack, Event, GatewayState, Kind, Reason, WatchdogState
+from schemas.telemetry import Ack, Event, GatewayState, Kind, LegReport, Reason, WatchdogState
 
 MAX_HZ: Final = 1000
 """The highest `limits.leg_rate_hz`."""
 _KEPT: Final = 64
 _STOPPED_ALREADY: Final = (Reason.ESTOPPED, Reason.STOPPING)
-_ENDINGS: Final = (*stopped.ALL_STOPPED, Kind.STARTED)
-"""Events after which no leg runs."""
 _EVENT_S: Final = 0.1
 """An event may arrive this much later than an answer about the same Stop."""
 WHOLE: Final = "the first set() has to name all six legs: this robot's controller starts and stops all of them at once"
@@ -71,7 +69,6 @@ class Stream:
         self._over: GatewayError | None = None
         self._doubt = pace.Doubt(0.0)
         self._events: deque[ReceivedEvent] = deque(maxlen=_KEPT)
-        self._changes: dict[int, ReceivedEvent] = {}  # by leg: the latest change of its source
         self._received_stop = threading.Event()
         self.answer: GatewayState | None = None
         """The gateway's newest answer, until its reader sets this to None."""
@@ -320,22 +317,28 @@ class Stream:
         if event.kind == Kind.COMMAND_REJECTED:
             # A command with a leg that is not ours is another stream's, of the same client.
             named_ours = self._started.issuperset(event.legs)
-            if event.source == self._client.name and event.key == keys.LEGS_COMMAND and named_ours:
+            own = self._is_own(event.source, event.source_id)
+            if own and event.key == keys.LEGS_COMMAND and named_ours:
                 self._events.append(received)
-        elif event.kind in stopped.STOPPED_LEGS:
-            if self._started.intersection(event.legs):
+        elif event.kind == Kind.STARTED or (isinstance(event.kind, Kind) and event.kind.stops):
+            others = event.legs and not self._started.intersection(event.legs)
+            if not others and stopped.tells(event):
                 self._events.append(received)
                 self._received_stop.set()
-            elif not event.legs:  # an older gateway omits them
+            elif not others:
                 self._doubt.raise_it()
-        elif event.kind in _ENDINGS:
-            self._events.append(received)
         elif event.kind == Kind.SOURCE_CHANGED:
-            self._changes |= dict.fromkeys(event.legs, received)
             # We took a leg from another source. One that takes a leg from us may also stop it.
-            ours = event.source == self._client.name and self._lease is None
+            ours = self._is_own(event.source, event.source_id) and self._lease is None
             if ours and self._to_stop.intersection(event.legs):
                 self._rival = event.detail
+
+    def _is_own(self, source: str | None, source_id: str | None) -> bool:
+        """Return whether this program has this name and id. None: an older gateway, or the command had no id."""
+        return source == self._client.name and source_id in (None, self._client.zid)
+
+    def _name_of(self, sent: Event | LegReport) -> str:
+        return stopped.sender(sent.source, self._client.name, own=self._is_own(sent.source, sent.source_id))
 
     # ---- what follows from it
 
@@ -361,7 +364,8 @@ class Stream:
     def _reported_stop(self, events: Iterable[ReceivedEvent]) -> StoppedError | None:
         """Return the error for all events that stopped this stream's legs, or None."""
         stops = [each for each in events if each.event.kind != Kind.COMMAND_REJECTED]
-        return stopped.reported(stops, self._started, self._doubt.watchdog_s * 1000) if stops else None
+        timeout_ms = self._doubt.watchdog_s * 1000
+        return stopped.reported(stops, self._started, timeout_ms, self._name_of) if stops else None
 
     def _ask(self) -> GatewayState:
         """Ask for the state and return it. Raises unless all started legs run."""
@@ -386,11 +390,12 @@ class Stream:
         A leg that does not run is no longer ours: only another client can start it again. While another client holds
         the lease, a leg with another source is theirs: the takeover has stopped ours.
         """
+        name, zid = self._client.name, self._client.zid
         ours_only = state.lease.holder is None or (self._lease is not None and self._lease.held)
         return frozenset(
             each.leg
             for each in state.legs
-            if not any(servo.running for servo in each.servos) or not (ours_only or each.is_of(self._client.name))
+            if not any(servo.running for servo in each.servos) or not (ours_only or each.is_of(name, zid))
         )
 
     def _stopped_legs(self, state: GatewayState) -> frozenset[int]:
@@ -398,16 +403,18 @@ class Stream:
         return self._started & stopped
 
     def _stopped(self, state: GatewayState) -> StoppedError:
-        legs, own = self._stopped_legs(state), self._client.name
+        legs = self._stopped_legs(state)
         if (why := stopped.unready(state, legs)) is not None:
             return why
         if silent := [each.leg for each in state.legs if each.leg in legs and each.watchdog == WatchdogState.EXPIRED]:
             return stopped.expired(silent, state.watchdog.timeout_ms)
-        for who in {each.source for each in state.legs if each.leg in legs} - {None}:
-            sent = [at_s for leg, (event, at_s) in self._changes.items() if leg in legs and event.source == who]
-            return stopped.stopped_by(who, own, legs, max(sent, default=None))
         self._received_stop.wait(_EVENT_S)
-        return self._reported_stop(self._fresh_events()) or stopped.stopped_by(None, own, legs)
+        if (reported := self._reported_stop(self._fresh_events())) is not None:
+            return reported
+        senders = [each for each in state.legs if each.leg in legs and each.source is not None]
+        if not senders:
+            return stopped.stopped_by(None, stopped.UNKNOWN, legs)
+        return stopped.stopped_by(senders[0].source, self._name_of(senders[0]), legs)
 
 
 def checked_hz(hz: float) -> float:

@@ -270,7 +270,7 @@ def _happened(messages: Iterable[RecordedMessage], name: str) -> Iterator[Line]:
         if _is_command(message) and (request := _REQUESTS.get(message.topic)) is not None:
             verdict = "" if _taken(message) else f", rejected: {content['verdict']}"
             yield Line(at_ns, f"{request} requested by {_who(source)}{verdict}")
-        elif message.topic == keys.EVENT and kind != Kind.COMMAND_REJECTED:
+        elif message.topic == keys.EVENT and kind != Kind.COMMAND_REJECTED and (source or kind != Kind.LEGS_STOPPED):
             if kind == _AT_ZERO.get(kind_of(name)) and 0 <= at_ns < _TOGETHER_NS:
                 at_ns = 0
             prefix = _EVENTS.get(kind, str(kind).replace("_", " "))

@@ -108,7 +108,7 @@ EVENT_SLOTS: Final = 3
 """Slots of an event with a long sentence."""
 _ESTOP: Final = Cause.ESTOP  # see `frames.OP_STOP`
 LIMITED: Final = (
-    frozenset({Kind.COMMAND_REJECTED, Kind.SOURCE_CHANGED, Kind.OVERFLOW, Kind.CALIBRATED})
+    frozenset({Kind.COMMAND_REJECTED, Kind.SOURCE_CHANGED, Kind.LEGS_STOPPED, Kind.OVERFLOW, Kind.CALIBRATED})
     | {kind for kind in Kind if kind.startswith(("lease_", "button_"))}
 ) - {Kind.LEASE_EXPIRED, Kind.BUTTON_SILENT}
 """Events that clients can cause at any rate. Each kind has its own limit, so that a flood of one hides no other: two

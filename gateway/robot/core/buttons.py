@@ -51,6 +51,7 @@ class Registration:  # mutants accepted (Step): set before it is read; a nanosec
     """Whether it counts towards `buttons.required`."""
     until_ns: int | None
     """Until when it is alive; None: it has not checked in yet, or is silent."""
+    source_id: str | None = None
     count: int = -1
     silent: bool = False
     offset_ns: int | None = None
@@ -105,7 +106,7 @@ class Buttons(Interlock[ButtonRequest]):
             button = next(each for each in self._by_token.values() if each.until_ns == at_ns)
             button.until_ns, button.silent = None, True
             what = f"no check-in of the button {button.name} in {self._rules.buttons_timeout_ns / NS_PER_MS:g} ms"
-            effects += self._changed(Kind.BUTTON_SILENT, what, button.name, at_ns, key=None)
+            effects += self._changed(Kind.BUTTON_SILENT, what, button, at_ns, key=None)
         return effects
 
     # ---- requests
@@ -121,7 +122,7 @@ class Buttons(Interlock[ButtonRequest]):
             return self._check_in(button, event, now_ns)
         del self._by_token[event.token]
         what = f"the button {button.name} has left on purpose"
-        return [*self._changed(Kind.BUTTON_LEFT, what, button.name, now_ns), RequestAnswer()]
+        return [*self._changed(Kind.BUTTON_LEFT, what, button, now_ns), RequestAnswer()]
 
     def _register(self, request: ButtonRequest, now_ns: int) -> list[Effect]:
         name = request.source or ""
@@ -137,13 +138,13 @@ class Buttons(Interlock[ButtonRequest]):
         until_ns = None if same is None else mine[same].until_ns
         if gives_way is not None:
             del self._by_token[gives_way]
-        button = Registration(name, request.holder, request.counts, until_ns)
+        button = Registration(name, request.holder, request.counts, until_ns, source_id=request.source_id)
         self._by_token[request.fresh_token] = button
         button.sent_ns(request, self._rules)
         replaces = "" if same is None else ", and replaces the earlier one of this name"
         what = f"{name} is registered as a button{replaces}"
         answer = RequestAnswer(token=request.fresh_token, detail="" if request.counts else _UNCOUNTED)
-        return [*self._changed(Kind.BUTTON_REGISTERED, what, name, now_ns), answer]
+        return [*self._changed(Kind.BUTTON_REGISTERED, what, button, now_ns), answer]
 
     def _check_in(self, button: Registration, request: ButtonRequest, now_ns: int) -> list[Effect]:
         if request.count <= button.count:
@@ -163,14 +164,17 @@ class Buttons(Interlock[ButtonRequest]):
             self._count_alive(now_ns)
             return [answer]
         what = f"the button {button.name} is back"
-        return [*self._changed(Kind.BUTTON_RETURNED, what, button.name, now_ns), answer]
+        return [*self._changed(Kind.BUTTON_RETURNED, what, button, now_ns), answer]
 
     # ----
 
-    def _changed(self, kind: Kind, what: str, name: str, at_ns: int, key: str | None = keys.BUTTON) -> list[Effect]:
+    def _changed(
+        self, kind: Kind, what: str, button: Registration, at_ns: int, key: str | None = keys.BUTTON
+    ) -> list[Effect]:
         """Return the event of a change to one button; it names the legs that stop because of the change."""
         then = self._how_it_comes_down() if self._count_alive(at_ns) else ""
-        return [Announce(kind, f"{what}; {self._count()}", name, key, ALL_LEGS if then else (), done=then)]
+        detail, legs = f"{what}; {self._count()}", ALL_LEGS if then else ()
+        return [Announce(kind, detail, button.name, key, legs, done=then, source_id=button.source_id)]
 
     def _count_alive(self, at_ns: int | None) -> bool:
         """Count the buttons that are alive. Return whether they have just become too few. None: at the beginning."""

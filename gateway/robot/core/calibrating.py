@@ -117,4 +117,5 @@ class Calibrating(Interlock[Calibrate | CalibrationSaved]):
         detail = f"calibration {calibration.revision} is in force; it changes {', '.join(parts) or 'nothing'}"
         if asked.change.accept_default:
             detail = f"the default calibration is taken as this robot's; {detail}"
-        return [Announce(Kind.CALIBRATED, detail, asked.source, asked.key), Completed(asked)]
+        changed = Announce(Kind.CALIBRATED, detail, asked.source, asked.key, source_id=asked.source_id)
+        return [changed, Completed(asked)]

@@ -18,6 +18,11 @@ Targets = tuple[tuple[int, ServoOp], ...]
 
 _GET: Final = Verb.GET  # see `frames.OP_STOP`
 
+Sender = tuple[str | None, str | None]
+"""Who sent a request: a name, and the Zenoh id of the session. Two requests are of one sender if both are equal: a
+console's pages share a session, and anybody may claim a name."""
+NOBODY: Final[Sender] = (None, None)
+
 # ---- what is answered
 
 
@@ -29,7 +34,9 @@ class Request:
     _: KW_ONLY
     key: str = ""
     source: str | None = None
-    """The sender's name, for people: it does not decide what is sent."""
+    """The sender's name, for people."""
+    source_id: str | None = None
+    """The Zenoh id of the sender's session; None if the message does not contain it."""
     sent_ms: float | None = None
     lease: str | None = field(default=None, repr=False)
     reply: Reply | None = field(default=None, repr=False)
@@ -43,6 +50,10 @@ class Request:
     """Servos that the request stops though it is rejected."""
     moves: Targets = field(init=False, default=())
     """A command's targets that are no Stops."""
+
+    @property
+    def sender(self) -> Sender:
+        return self.source, self.source_id
 
     @property
     def servo_ids(self) -> Iterable[int]:
@@ -157,6 +168,7 @@ class EmergencyStop:
 
     source: str | None = None
     key: str | None = None
+    source_id: str | None = None
 
 
 @value
@@ -168,6 +180,7 @@ class LeaseRequest:
     token: str | None = field(default=None, repr=False)
     to: str | None = None
     fresh_token: str = field(default="", repr=False)
+    source_id: str | None = None
 
 
 @value
@@ -187,6 +200,7 @@ class ButtonRequest:
     count: int = 0
     sent_ms: float | None = None
     fresh_token: str = field(default="", repr=False)
+    source_id: str | None = None
 
 
 @value
@@ -295,6 +309,10 @@ class Announce:
     reason: Reason | None = None
     done: str = ""
     """What the step's frames for these legs do. It follows `detail` once they are written."""
+
+    source_id: str | None = None
+    cause: Cause | None = None
+    """Of `legs_stopped`."""
 
     def outcome(self, unwritten: Collection[int], fault: object) -> "Announce | None":
         """Return the event after its step, or None if there is none.

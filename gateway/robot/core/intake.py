@@ -148,7 +148,8 @@ def read(received: Received) -> Command | Reset | Rejection:
     found = Command(stops_of(key)) if deletes else _decoded(row, key.number, received)
     if type(found) is not Rejection:
         found.key, found.verb, found.reply = received.key, received.verb, received.reply
-        found.received_ns, found.source = received.received_ns, found.source or received.source
+        found.received_ns, found.source_id = received.received_ns, received.source
+        found.source = found.source or received.source
     return found
 
 

@@ -48,7 +48,10 @@ class Latch(Interlock[EmergencyStop | Reset | EstopKept]):
                 detail, done = "emergency stop; all commands are rejected until a reset", "all six legs are stopped"
                 if not legs.sends:
                     done = "the SPI bus does not answer, and the Stop frames follow as soon as it does"
-                return [Announce(Kind.ESTOP_ENGAGED, detail, event.source, event.key, done=done)] if first else []
+                engaged = Announce(
+                    Kind.ESTOP_ENGAGED, detail, event.source, event.key, done=done, source_id=event.source_id
+                )
+                return [engaged] if first else []
 
     def _leave(self, reset: Reset, instant_ns: int) -> list[Effect]:
         why_not = self._why_not_left(reset.estop, instant_ns)
@@ -58,7 +61,8 @@ class Latch(Interlock[EmergencyStop | Reset | EstopKept]):
             return [Completed(reset)]
         self.since_ns = None
         detail = "the emergency stop has ended; nothing moves until somebody starts it"
-        return [Announce(Kind.ESTOP_RESET, detail, reset.source, reset.key), Completed(reset)]
+        ended = Announce(Kind.ESTOP_RESET, detail, reset.source, reset.key, source_id=reset.source_id)
+        return [ended, Completed(reset)]
 
     # mutants accepted (Lt_LtE): equal numbers were answered before
     def _why_not_left(self, names: int | None, instant_ns: int) -> str | None:

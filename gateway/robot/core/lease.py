@@ -80,7 +80,7 @@ class RobotLease(Interlock[LeaseRequest]):
             detail = f"{self.holder} did not acquire the lease within {ttl} of its handover; it is free"
         else:
             detail = f"{self.holder} was silent for {ttl} and has lost the lease"
-        announcement = Announce(Kind.LEASE_EXPIRED, detail, self.holder)
+        announcement = Announce(Kind.LEASE_EXPIRED, detail, self.holder, source_id=self._holder_id)
         self.end()
         return [announcement]
 
@@ -100,7 +100,7 @@ class RobotLease(Interlock[LeaseRequest]):
         if why_not is not None:
             return [RequestAnswer(*why_not)]
         name, holder, to = event.source or "", self.holder, event.to
-        kind, who = Kind.LEASE_RELEASED, holder
+        kind, who, who_id = Kind.LEASE_RELEASED, holder, self._holder_id
         match event.do:
             case "acquire" | "take":
                 return self._acquired(event, now_ns)
@@ -110,14 +110,15 @@ class RobotLease(Interlock[LeaseRequest]):
             case "ask":
                 others = [each for each in self._askers if each != name]
                 self._askers = (*others, name)[-MOST_ASKERS:]
-                kind, who, detail = Kind.LEASE_ASKED, name, f"{name} asks {holder} for the lease"
+                kind, who, who_id = Kind.LEASE_ASKED, name, event.source_id
+                detail = f"{name} asks {holder} for the lease"
             case "release" if to is not None:
                 self._give(to, None, now_ns)
                 detail = f"{holder} has handed the lease over to {to}"
             case "release":
                 self.end()
                 detail = f"{holder} has released the lease"
-        return [Announce(kind, detail, who, keys.LEASE), RequestAnswer()]
+        return [Announce(kind, detail, who, keys.LEASE, source_id=who_id), RequestAnswer()]
 
     def _why_not_granted(self, request: LeaseRequest) -> Why | None:
         match request.do:
@@ -136,13 +137,13 @@ class RobotLease(Interlock[LeaseRequest]):
 
     def _acquired(self, request: LeaseRequest, now_ns: int) -> list[Effect]:
         legs, name, before, taken = self._legs, request.source, self.holder, request.do == "take"
-        self._give(name, request.fresh_token, now_ns)
+        self._give(name, request.fresh_token, now_ns, request.source_id)
         # Others' waiting commands must not move the robot under the new holder.
         dropped = legs.drop(legs.servos.values(), Reason.NOT_HOLDER, f"{name} has acquired the lease")
         kind = Kind.LEASE_TAKEN if taken and before is not None else Kind.LEASE_ACQUIRED
         what = "acquired the lease" if kind is Kind.LEASE_ACQUIRED else f"taken the lease from {before}"
         done = "all six legs are stopped" if taken and legs.sends else ""
-        change = Announce(kind, f"{name} has {what}", name, keys.LEASE, done=done)
+        change = Announce(kind, f"{name} has {what}", name, keys.LEASE, done=done, source_id=request.source_id)
         return [*dropped, change, RequestAnswer(token=self._token)]
 
     # ----
@@ -151,10 +152,11 @@ class RobotLease(Interlock[LeaseRequest]):
         """Return whether this is the holder's token. May be called from any thread."""
         return self._token is not None and token is not None and hmac.compare_digest(token, self._token)
 
-    def _give(self, holder: str | None, token: str | None, now_ns: int | None) -> None:
+    def _give(self, holder: str | None, token: str | None, now_ns: int | None, source_id: str | None = None) -> None:
         """Assign the lease to a holder, reserve it for a nominee (no token), or free it."""
         self.holder = holder
         """The holder, or the nominee of a handover."""
+        self._holder_id = source_id
         self._token = token
         self.since_ns = None if token is None else now_ns
         """When its holder acquired it; None while it is free or handed over."""

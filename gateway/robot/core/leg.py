@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from gateway.model.frames import servo_ids_of
+from gateway.robot.core.events import NOBODY, Sender
 from gateway.robot.core.gates.rate import RateSlots
 from gateway.robot.core.servo import OFF, RUNNING, Servo
 from schemas.telemetry import WatchdogState
@@ -17,8 +18,8 @@ class Leg:  # mutants accepted (FalseWithTrue, Step, TrueWithFalse): set before 
     slots: RateSlots
     commanded_ns: int | None = None
     expired: bool = False
-    source: str | None = None
-    """The source of the latest accepted command; None once the gateway itself has stopped the leg."""
+    sender: Sender = NOBODY
+    """Who sent the latest accepted command; NOBODY once the gateway itself has stopped the leg."""
     unfed_ns: int | None = None
     """When one of its starts began to wait for power, or None; as of the last `Legs.plan`."""
 

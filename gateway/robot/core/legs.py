@@ -10,7 +10,17 @@ from typing import Final
 
 from gateway.model.angle_limits import AngleLimits
 from gateway.model.frames import OP_STOP, SETS, STOP, Frame, OneLeg, OneServo, ServoOp
-from gateway.robot.core.events import Announce, Command, Completed, Effect, Rejected, Targets, Transmit
+from gateway.robot.core.events import (
+    NOBODY,
+    Announce,
+    Command,
+    Completed,
+    Effect,
+    Rejected,
+    Sender,
+    Targets,
+    Transmit,
+)
 from gateway.robot.core.gates import NEVER
 from gateway.robot.core.gates.every import Gates
 from gateway.robot.core.leg import Leg, leg_at_rest
@@ -18,6 +28,7 @@ from gateway.robot.core.pace import Paces
 from gateway.robot.core.rules import Rules
 from gateway.robot.core.servo import OFF, RUNNING, WAITING, Servo
 from gateway.robot.core.stops import StopSchedule, stops
+from gateway.text import legs_named
 from schemas.keys import LEGS_COMMAND
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Reason
@@ -69,6 +80,8 @@ class Legs:
         """When the present instant began; see `Supervisor.step`."""
         self.gates.supply.begin()
         self.stops.begin()
+        self._halted: dict[tuple[Cause, Sender], set[int]] = {}
+        """The legs whose servos ran or waited to start before a Stop of this step, by its cause and sender."""
 
     def plan(self, now_ns: int) -> None:  # mutants accepted (Forget, Lt_LtE): equal times; each step sets it anew
         """End a step: compute what is due next, and whether anything runs."""
@@ -159,26 +172,30 @@ class Legs:
         return None if self.servos[moves[0][0]].will_run else (Reason.WHOLE_ROBOT, _PARTLY)
 
     def _taken_over(self, command: Command, by_leg: Mapping[int, Targets]) -> list[Effect]:
-        """Set the source of the command's legs. Return an event for each leg that another source commanded.
+        """Set the sender of the command's legs. Return an event for each leg that another sender commanded.
 
-        A stopped leg has no previous source. A Stop without a name (a delete has none) may be from the previous one.
+        A stopped leg has no previous sender. A Stop without a name (a delete has none) may be from the previous one.
         """
         taken: list[Effect] = []
+        sender, (source, source_id) = command.sender, command.sender
         for number, targets in by_leg.items():
-            leg, source = self.by_number[number], command.source
+            leg = self.by_number[number]
             if command.lost:
-                leg.source = None
-            elif leg.source != source:
-                before, leg.source = leg.source, source
+                leg.sender = NOBODY
+            elif leg.sender != sender:
+                (before, _), leg.sender = leg.sender, sender
                 if leg.armed and (source is not None or _moves(targets)):
                     new, old = ("somebody without a name" if name is None else name for name in (source, before))
+                    old = f"another program named {old!r}" if source is not None and source == before else old
                     detail = f"leg {number} is commanded by {new}, and was by {old}"
-                    taken.append(Announce(Kind.SOURCE_CHANGED, detail, source, legs=(number,)))
+                    taken.append(Announce(Kind.SOURCE_CHANGED, detail, source, legs=(number,), source_id=source_id))
         return taken
 
     def _stop_on_command(self, command: Command, by_leg: Mapping[int, Targets], now_ns: int) -> list[Effect]:
         """Carry out a command's Stops: their frames leave now."""
         effects: list[Effect] = []
+        stopped = [self.servos[servo_id] for targets in by_leg.values() for servo_id, op in targets if op.op is OP_STOP]
+        self._note_halt(stopped, Cause.COMMAND, command.sender)  # now: the first leg's Stop drops the starts of all
         for number, targets in by_leg.items():
             leg = self.by_number[number]
             servos = [self.servos[servo_id] for servo_id, op in targets if op.op is OP_STOP]
@@ -205,7 +222,7 @@ class Legs:
         if servo.life is OFF:
             servo.take(op, command, self._pace.begin_cdeg(servo, op, now_ns))
             return effects
-        if servo.source != command.source:
+        if servo.sender != command.sender:
             self._pace.take_over(leg, servo)
         servo.take(op, command)
         return effects
@@ -216,13 +233,13 @@ class Legs:
         The effects, and the state after it, are those of `apply` and `plan`, but for `due_ns`, which may be early.
         Return None, and change nothing, if the command is not such a one.
         """
-        source, servos, limits, instant_ns = command.source, self.servos, self.limits, self.instant_ns
+        sender, servos, limits, instant_ns = command.sender, self.servos, self.limits, self.instant_ns
         free_cdeg = limits.free_cdeg if limits.limited else None
         for number, targets in command.by_leg.items():
             leg = self.by_number[number]
             one, two, three = leg.servos
             if (
-                leg.source != source
+                leg.sender != sender
                 or now_ns < leg.slots.next_ns
                 or not (one.target is two.target is three.target is None)
                 or len(targets) == 2
@@ -232,7 +249,7 @@ class Legs:
                 servo = servos[servo_id]
                 if (
                     servo.life is not RUNNING
-                    or servo.source != source
+                    or servo.sender != sender
                     or servo.pace_cdeg_s is not None
                     or servo.stopped_ns == instant_ns
                 ):
@@ -346,7 +363,7 @@ class Legs:
         effects = self.drop(self.servos.values(), Reason.LANDING, "the robot lands, and is then stopped")
         self.landing_ends_ns, pose_cdeg = ends_ns, self.limits.landing_cdeg()
         for leg in self:
-            leg.source = None
+            leg.sender = NOBODY
             leg.slots.wait_until(now_ns + self._rules.period_ns)  # until then no servo has a way to go
             for servo in leg.servos:
                 if servo.life is RUNNING and servo.servo_id in pose_cdeg:
@@ -356,9 +373,15 @@ class Legs:
     # ---- Stops
 
     def stop(
-        self, deadlines_ns: Mapping[int, int | None], cause: Cause, now_ns: int, reason: Reason, detail: str
+        self,
+        deadlines_ns: Mapping[int, int | None],
+        cause: Cause,
+        now_ns: int,
+        reason: Reason,
+        detail: str,
+        sender: Sender = NOBODY,
     ) -> list[Effect]:
-        """Stop legs for the gateway's own reasons. `deadlines_ns` has when each leg's Stop was due.
+        """Stop legs. `deadlines_ns` has when each leg's Stop was due, `sender` who asked for it, if anybody did.
 
         Commands that wait for these legs are rejected with `reason` and `detail`.
         """
@@ -368,6 +391,7 @@ class Legs:
         ]
         self.stops.silent = self.stops.silent or cause is Cause.WATCHDOG
         servos = [servo for leg in legs for servo in leg.servos]
+        self._note_halt(servos, cause, sender)
         dropped = self.drop(servos, reason, detail)
         for servo in servos:
             servo.note_stop(cause, self.instant_ns)
@@ -376,8 +400,26 @@ class Legs:
                 servo.forget()
         self.stops.first(servos, now_ns)
         for leg in legs:
-            leg.expired, leg.source = False, None
+            leg.expired, leg.sender = False, NOBODY
         return [*transmits, *dropped, *self._drop_staggered()]
+
+    def _note_halt(self, servos: Iterable[Servo], cause: Cause, sender: Sender) -> None:
+        """Record the legs whose servos run or wait to start until now. Call it before a waiting start is dropped."""
+        legs = {servo.servo_id // 10 for servo in servos if servo.life is not OFF}
+        if legs:
+            self._halted[cause, sender] = self._halted.get((cause, sender), set()) | legs
+
+    def halted(self) -> list[Announce]:
+        """Return the events of legs that this step has stopped: one for each cause, and each sender that asked."""
+        effects = []
+        for (cause, (source, source_id)), legs in self._halted.items():
+            who = "somebody without a name" if source is None else source
+            by = {Cause.COMMAND: who, Cause.WATCHDOG: "the watchdog", Cause.ESTOP: "the emergency stop"}
+            stopped = tuple(sorted(legs))
+            detail = f"{by.get(cause, 'the gateway')} stopped {legs_named(stopped)}"
+            event = Announce(Kind.LEGS_STOPPED, detail, source, legs=stopped, source_id=source_id, cause=cause)
+            effects.append(event)
+        return effects
 
     def _drop_staggered(self, own: Command | None = None) -> list[Effect]:
         """Drop all starts that wait in turn after a Stop of any leg, except those of the Stop's `own` command.

@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 
 from gateway.model.calibration import RobotCalibration
 from gateway.model.frames import OP_SET, OP_START, SETS, STARTS, ServoOp
-from gateway.robot.core.events import Command
+from gateway.robot.core.events import NOBODY, Command, Sender
 
 
 class Life(StrEnum):
@@ -79,8 +79,8 @@ class Servo:  # mutants accepted (Step): set before it is read
     """When the time for its next step begins."""
     passing_cdeg: int | None = None
     """Its computed angle within a range that is never sent, at whose near end it waits."""
-    source: str | None = None
-    """The source that started or set it last."""
+    sender: Sender = NOBODY
+    """Who started or set it last."""
     known: Known | None = None
     """Where its latest Stop found it; None: it never ran, or that is not known any more."""
     stopped_ns: int | None = None
@@ -114,7 +114,7 @@ class Servo:  # mutants accepted (Step): set before it is read
         if self.life is OFF:
             self.from_cdeg = from_cdeg
         self.life = life
-        self.source = command.source
+        self.sender = command.sender
         self.target = STARTS[op.angle_cdeg] if life is WAITING and op.op is OP_SET else op
         self.command, self.begun = command, False
 

@@ -47,6 +47,7 @@ from gateway.robot.core.body_limits import BodyLimits
 from gateway.robot.core.buttons import Buttons
 from gateway.robot.core.calibrating import Calibrating
 from gateway.robot.core.events import (
+    NOBODY,
     Announce,
     BodyMeasured,
     BusFailed,
@@ -63,6 +64,7 @@ from gateway.robot.core.events import (
     Rejected,
     RequestAnswer,
     Reset,
+    Sender,
     ShutDown,
     TimePassed,
     Transmit,
@@ -189,7 +191,7 @@ class Supervisor:
         self.watchdog.closed = legs.landing_ends_ns is not None
         # 4. what the event halts
         if halt is not None:
-            effects += self._stop_all(halt, now_ns)
+            effects += self._stop_all(halt, now_ns, _sender(event))
         # 5. starts that are judged
         if self.backlog.held:
             effects += self.backlog.expire(now_ns)
@@ -212,6 +214,7 @@ class Supervisor:
             if each.due_ns is not None:
                 self.due_ns = each.due_ns if self.due_ns is None else min(self.due_ns, each.due_ns)
         self.usual_ns = self._usual_until_ns()
+        effects += legs.halted()
         return sorted(effects, key=_after_stops) if legs.stops.sent else effects
 
     def _usual_until_ns(self) -> int:
@@ -361,12 +364,18 @@ class Supervisor:
         announcement = Announce(Kind.STOPPING, "the gateway ends", done=done)
         return [*self._stop_all(Halt(Cause.SHUTDOWN, Reason.STOPPING, _STOPPING), now_ns), announcement]
 
-    def _stop_all(self, halt: Halt, now_ns: int) -> list[Effect]:  # mutants accepted (Forget): done twice on purpose
+    def _stop_all(
+        self, halt: Halt, now_ns: int, sender: Sender = NOBODY
+    ) -> list[Effect]:  # mutants accepted (Forget): done twice on purpose
         legs, (cause, reason, detail) = self.legs, halt
         legs.landing_ends_ns = None  # a Stop of all legs ends a landing
         if not legs.sends:
             return legs.drop(legs.servos.values(), reason, detail)
-        return legs.stop(dict.fromkeys(legs.by_number), cause, now_ns, reason, detail)
+        return legs.stop(dict.fromkeys(legs.by_number), cause, now_ns, reason, detail, sender)
+
+
+def _sender(event: Event) -> Sender:
+    return (event.source, event.source_id) if isinstance(event, EmergencyStop | LeaseRequest) else NOBODY
 
 
 def _after_stops(effect: Effect) -> bool:

@@ -280,13 +280,15 @@ class Conductor:
 
     def _reject_unread(self, received: Received, why: Rejection, instant_ns: int) -> None:
         """Reject a message that could not be read. Carry out the Stops that it may contain."""
-        unread = Request(key=echo_of(received.expression), source=received.source, reply=received.reply)
+        unread = Request(key=echo_of(received.expression), reply=received.reply)
+        unread.source = unread.source_id = received.source
         stops = stops_in(received)
         if not stops:
             self.executor.reject(unread, why.reason, why.detail)
             return
         command = Command(stops, key=received.key, verb=received.verb, received_ns=received.received_ns)
-        command.source, command.rejected = received.source, Rejected(unread, why.reason, why.detail)
+        command.source = command.source_id = received.source
+        command.rejected = Rejected(unread, why.reason, why.detail)
         command.number = unread.number = next(self.numbers)
         unread.received_ns = received.received_ns
         self._step(command, instant_ns, command=command)
@@ -305,7 +307,8 @@ class Conductor:
         self.reports.estop = received
         if self.supervisor.mode is Mode.BUS_FAULT:
             self._reopen()
-        stop_frames = self._step(EmergencyStop(received.source, received.key), instant_ns).stop_frames(Cause.ESTOP)
+        event = EmergencyStop(received.source, received.key, received.source)
+        stop_frames = self._step(event, instant_ns).stop_frames(Cause.ESTOP)
         latency_ns = max(0, self.clock() - received.received_ns)
         request = Request(
             key=received.key,

@@ -3,7 +3,7 @@
 import logging
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
-from typing import Final, Literal
+from typing import Literal
 
 from gateway.errors import SpiError
 from gateway.model.black_box import ACCEPTED, COALESCED
@@ -18,6 +18,7 @@ from gateway.robot.core.events import (
     Reset,
     Result,
     SaveCalibration,
+    Sender,
     Transmit,
     Verdict,
     results,
@@ -32,7 +33,8 @@ from schemas.telemetry import Ack, Cause, Kind, Reason
 
 logger = logging.getLogger(__name__)
 
-_REPEAT: Final = Cause.REPEAT  # see `frames.OP_STOP`
+_REPEAT, _LEGS_STOPPED = Cause.REPEAT, Kind.LEGS_STOPPED
+"""Read for each effect; see `frames.OP_STOP`."""
 
 
 @dataclass(slots=True)
@@ -77,6 +79,8 @@ class Executor:
     publish_frames: bool
     when_kept: Callable[[int, Callable[[bool], None]], None] | None = None
     """Calls back once the disk has the emergency stop of this number. None: no disk keeps it."""
+    halts: list[Announce] = field(default_factory=list)
+    """Events of stopped legs. After a fault they wait for the Stops with which the bus opens again."""
 
     # ---- the answers
 
@@ -104,9 +108,9 @@ class Executor:
                 ack.estop, lambda kept: reply(ack.model_copy(update={"kept": kept}).model_dump_json().encode())
             )
 
-    def reject_unread(self, key: str, source: str | None, detail: str, reason: Reason = Reason.INVALID) -> None:
+    def reject_unread(self, key: str, sender: Sender, detail: str, reason: Reason = Reason.INVALID) -> None:
         """Reject a message on a key that takes no commands: an unknown key, or a key for `get` only."""
-        self.reject(Request(key=echo_of(key), source=source), reason, detail)
+        self.reject(Request(key=echo_of(key), source=sender[0], source_id=sender[1]), reason, detail)
 
     def reject(self, request: Request, reason: Reason, detail: str, received: Request | None = None) -> None:
         """Reject a message before the supervisor decides. `received` is its command, if it could be read."""
@@ -134,7 +138,9 @@ class Executor:
         ack = Ack(accepted=False, reason=verdict, detail=detail, written=written or None, stopped=stops)
         self.answer(request, ack, request.stopped)
         legs = legs_of(request.servo_ids)
-        self.reports.announce(Announce(Kind.COMMAND_REJECTED, detail, request.source, request.key, legs, verdict))
+        source, source_id = request.sender
+        rejected = Announce(Kind.COMMAND_REJECTED, detail, source, request.key, legs, verdict, source_id=source_id)
+        self.reports.announce(rejected)
 
     # ---- the effects
 
@@ -157,8 +163,16 @@ class Executor:
         for result in outcome.results:
             self._end(*result)
         for effect in effects:
-            if type(effect) is Announce:
+            if type(effect) is not Announce:
+                continue
+            if effect.kind is _LEGS_STOPPED:
+                self.halts.append(effect)
+            else:
                 self.announce(effect, outcome)
+        if self.halts and outcome.written and outcome.fault is None:
+            halts, self.halts = self.halts, []
+            for each in halts:
+                self.reports.announce(each)
         if self.publish_frames:
             self.reports.frames(outcome.written)
         if supply is not None:

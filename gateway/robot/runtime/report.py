@@ -17,7 +17,7 @@ from gateway.model import power_board
 from gateway.model.elkapod import Measured
 from gateway.model.telemetry import report_of
 from gateway.robot.blackbox.recorder import LIMITED, Recorder, Written
-from gateway.robot.core.events import Announce
+from gateway.robot.core.events import Announce, Sender
 from gateway.robot.core.intake import named_source
 from gateway.robot.core.leg import Leg
 from gateway.robot.core.message import Outbox, Received, Reply
@@ -44,6 +44,7 @@ INFORMATIONAL: Final = frozenset(
         Kind.BUS_RECOVERED,
         Kind.CONTROLLER_RETURNED,
         Kind.SOURCE_CHANGED,
+        Kind.LEGS_STOPPED,
         *(kind for kind in Kind if kind.startswith("lease_")),
         Kind.CALIBRATED,
         Kind.BUTTON_REGISTERED,
@@ -155,8 +156,8 @@ class RobotReports:
         """Publish an event, unless its kind and source exceed their rate limit."""
         kind = what.kind
         self.metrics.events[kind] += 1
-        source = self.estop_source if kind is Kind.ESTOP_ENGAGED else what.source
-        limit = self._allowances.get(kind)
+        source = self.estop_source if kind is Kind.ESTOP_ENGAGED or what.cause is Cause.ESTOP else what.source
+        limit = self._allowances.get(kind) if what.cause in (None, Cause.COMMAND) else None
         left_out = 0 if limit is None else limit.admit(source, self.clock())
         if left_out is None:
             return
@@ -165,10 +166,12 @@ class RobotReports:
             "kind": kind, "source": source, "key": what.key, "reason": what.reason, "left_out": left_out or None,
             "legs": ",".join(map(str, what.legs)) or None, "incident": incident,
         }  # fmt: skip
-        logger.log(logging.INFO if kind in INFORMATIONAL else logging.WARNING, what.detail, extra=extra)
+        level = logging.INFO if kind in INFORMATIONAL else logging.WARNING
+        if what.cause in (None, Cause.COMMAND):  # else the cause's own event is in the log
+            logger.log(level, what.detail, extra=extra)
         event = telemetry.Event(
             time=wall_clock(), kind=kind, source=source, key=what.key, reason=what.reason, detail=what.detail,
-            left_out=left_out, legs=what.legs, incident=incident,
+            left_out=left_out, legs=what.legs, incident=incident, source_id=what.source_id, cause=what.cause,
         )  # fmt: skip
         self.outbox.publish(keys.EVENT, event)
 
@@ -286,14 +289,15 @@ class RobotReports:
         lease, buttons, lag = supervisor.lease, supervisor.buttons, metrics.loop_lag
         answered_ms = None if bus.answered_ns is None else max(0, now_ns - bus.answered_ns) / 1e6
         p50_us, p99_us = metrics.watchdog_stops.p50_p99_us()
-        sources = tuple(dict.fromkeys(leg.source for leg in supervisor.legs if leg.source is not None))
+        senders = tuple(dict.fromkeys(leg.sender for leg in supervisor.legs if leg.sender[0] is not None))
         return StateReport(
             config=config.config,
             mode=supervisor.mode,
             time=wall_clock(),
             uptime_s=(now_ns - self._started_ns) / 1e9,
-            legs=_legs(tuple(supervisor.legs), sources, now_ns),
-            sources=sources,
+            legs=_legs(tuple(supervisor.legs), senders, now_ns),
+            sources=tuple(name or "" for name, _ in senders),
+            source_ids=tuple(source_id for _, source_id in senders),
             commands=telemetry.CommandCounts(
                 accepted=metrics.accepted,
                 rejected=metrics.rejected.total(),
@@ -352,7 +356,7 @@ def board_values(status: Status, now_ns: int) -> Mapping[str, Any]:
     return found
 
 
-def _legs(legs: Sequence[Leg], sources: Sequence[str], now_ns: int) -> LegsReport:
+def _legs(legs: Sequence[Leg], senders: Sequence[Sender], now_ns: int) -> LegsReport:
     angles = [[_deg(servo.angle_cdeg) for servo in leg.servos] for leg in legs]
     targets = [[_deg((servo.target or servo).angle_cdeg) for servo in leg.servos] for leg in legs]
     commanded = [leg.commanded_ns for leg in legs]
@@ -362,7 +366,7 @@ def _legs(legs: Sequence[Leg], sources: Sequence[str], now_ns: int) -> LegsRepor
             "age_ms": [None if ns is None else round((now_ns - ns) / 1e6, 1) for ns in commanded],
             "angles_deg": angles,
             "targets_deg": None if targets == angles else targets,
-            "source": [None if leg.source is None else sources.index(leg.source) for leg in legs],
+            "source": [senders.index(leg.sender) if leg.sender in senders else None for leg in legs],
         }
     )
 

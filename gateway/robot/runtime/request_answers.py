@@ -17,7 +17,7 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 from gateway import certs
 from gateway.allowance import Allowance
 from gateway.nonces import Nonces
-from gateway.robot.core.events import ButtonRequest, LeaseRequest, RequestAnswer
+from gateway.robot.core.events import ButtonRequest, LeaseRequest, RequestAnswer, Sender
 from gateway.robot.core.intake import is_json
 from gateway.robot.core.message import Reply
 from gateway.robot.core.rejections import BAD_ENCODING, Rejection, explain, too_large
@@ -65,22 +65,22 @@ class RequestAnswers(ABC):
         elif query.encoding is not None and not is_json(str(query.encoding)):
             unread = BAD_ENCODING
         if unread is not None:
-            task: OwnersTask = partial(self.reject, source, unread.reason, unread.detail, reply)
+            task: OwnersTask = partial(self.reject, (source, source), unread.reason, unread.detail, reply)
         else:
             task = self.read(b"" if payload is None else payload.to_bytes(), now_ns, reply, source)
         return task if self.pause_s is None else partial(_with_pause, task, self.pause_s)
 
     @abstractmethod
     def read(self, payload: bytes, now_ns: int, reply: Reply, source: str | None = None, /) -> OwnersTask:
-        """Parse a payload received at `now_ns`. Return the task. `source` is the sender if the payload names none."""
+        """Parse a payload received at `now_ns`. Return the task. `source` is the Zenoh id of the sender."""
 
     def accepted(self, **fields: object) -> bytes:
         """Return an accepting answer with these fields, as JSON."""
         return self.ack(accepted=True, **fields).model_dump_json().encode()
 
-    def reject(self, source: str | None, reason: Reason, detail: str, reply: Reply, **more: object) -> None:
+    def reject(self, sender: Sender, reason: Reason, detail: str, reply: Reply, **more: object) -> None:
         """Reject a request and publish the rejection. `more` are further fields of the answer."""
-        self._conductor.executor.reject_unread(self.key, source, detail, reason)
+        self._conductor.executor.reject_unread(self.key, sender, detail, reason)
         reply(self.ack(accepted=False, reason=reason, detail=detail, **more).model_dump_json().encode())
 
 
@@ -121,15 +121,17 @@ class _ProvedAnswers(RequestAnswers):
             request = self.schema.validate_json(payload)
         except ValidationError as error:
             unread = explain(error)
-            return partial(self.reject, source, unread.reason, unread.detail, reply)
+            return partial(self.reject, (source, source), unread.reason, unread.detail, reply)
         if isinstance(request, Challenge):
             nonce = None if self._checker is None else self._nonces.issue(self._fresh(), now_ns)
             return partial(reply, self.accepted(nonce=nonce))
         if isinstance(request, Claim | Register) and self._checker is not None:
             denied = self._why_denied(self._checker, request, now_ns)
             if denied is not None:
-                return partial(self.reject, request.source, self.denied, denied, reply)
-        return partial(self.ask, self._event(request, now_ns), reply)
+                return partial(self.reject, (request.source, source), self.denied, denied, reply)
+        event = self._event(request, now_ns)
+        event.source_id = source
+        return partial(self.ask, event, reply)
 
     def _why_denied(self, checker: "ProofChecker", request: Claim | Register, now_ns: int) -> str | None:
         """Return why the proof does not show that `source` makes this request; None if it does."""
@@ -160,7 +162,7 @@ class _ProvedAnswers(RequestAnswers):
             reply(self.accepted(**self._granted(answer)))
             return
         more = {"holder": self._conductor.supervisor.lease.holder} if isinstance(request, LeaseRequest) else {}
-        self.reject(request.source, answer.reason, answer.detail, reply, **more)
+        self.reject((request.source, request.source_id), answer.reason, answer.detail, reply, **more)
 
 
 class LeaseAnswers(_ProvedAnswers):

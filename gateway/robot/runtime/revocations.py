@@ -19,7 +19,7 @@ from gateway import certs, durable
 from gateway.certs import LAPTOP_ROLES, access
 from gateway.errors import ConfigError
 from gateway.host.directories import state_directory
-from gateway.robot.core.events import Announce
+from gateway.robot.core.events import NOBODY, Announce
 from gateway.robot.core.message import Reply
 from gateway.robot.host.disk import DiskWriter
 from gateway.robot.runtime.conductor import Conductor
@@ -126,9 +126,9 @@ class Revocations(RequestAnswers):
             return partial(self.change, certs.revocation.parse(text.encode(), self._kept.cas), reply)
         except ValidationError:
             detail = 'the payload is not {"revoked": "a certificate revocation list as PEM"}'
-            return partial(self.reject, source, Reason.INVALID, detail, reply)
+            return partial(self.reject, (source, source), Reason.INVALID, detail, reply)
         except ConfigError as error:
-            return partial(self.reject, source, Reason.REVOCATION_DENIED, str(error), reply)
+            return partial(self.reject, (source, source), Reason.REVOCATION_DENIED, str(error), reply)
 
     def answer(self, reply: Reply) -> None:
         """Answer with the list in force: its number (0: there is none) and its PEM text."""
@@ -146,7 +146,7 @@ class Revocations(RequestAnswers):
         if self._writes:
             fault = "another list is being saved; try again"
         if fault is not None:
-            self.reject(None, Reason.REVOCATION_DENIED, fault, reply)
+            self.reject(NOBODY, Reason.REVOCATION_DENIED, fault, reply)
             return
         self._writes = True
         # On a background thread, since a disk may take seconds.
@@ -155,7 +155,7 @@ class Revocations(RequestAnswers):
     def _put_in_force(self, found: "RevocationList", reply: Reply, fault: str | None) -> None:
         self._writes = False
         if fault is not None:
-            self.reject(None, Reason.REVOCATION_DENIED, fault, reply)
+            self.reject(NOBODY, Reason.REVOCATION_DENIED, fault, reply)
             return
         names = ", ".join(sorted(found.common_names - self._kept.common_names)) or "nobody else"
         self._kept = self._kept._replace(known=found)  # so that no older list is accepted before the service ends

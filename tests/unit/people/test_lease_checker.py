@@ -18,7 +18,7 @@ from gateway.certs import authority
 from gateway.certs.proof import WATCHING, ProofChecker
 from gateway.nonces import Nonces
 from gateway.people.client.requests import Identity
-from gateway.robot.core.events import RequestAnswer
+from gateway.robot.core.events import RequestAnswer, Sender
 from gateway.robot.core.message import Reply
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.request_answers import CHECKS_PER_S, NONCE_NS, ButtonAnswers, LeaseAnswers
@@ -196,14 +196,14 @@ class Desk:
         self._answers.ask, self._answers.reject = self.ask, self.reject
         self.now_ns = 1_000_000_000_000
         self.requests: list[Any] = []
-        self.rejected: list[tuple[str | None, Reason, str]] = []
+        self.rejected: list[tuple[Sender, Reason, str]] = []
 
     def ask(self, request: object, reply: Reply) -> None:
         self.requests.append(request)
         reply(b"{}")
 
-    def reject(self, source: str | None, reason: Reason, detail: str, reply: Reply, **_: object) -> None:
-        self.rejected.append((source, reason, detail))
+    def reject(self, sender: Sender, reason: Reason, detail: str, reply: Reply, **_: object) -> None:
+        self.rejected.append((sender, reason, detail))
         reply(b"{}")
 
     def answer_to(self, request: dict[str, Any]) -> Any:
@@ -231,7 +231,7 @@ def test_whoever_registers_a_button_proves_it_with_a_fresh_nonce(names: tuple[st
         desk.claim("register", each, "anna/phone")
     found = [(each.source, each.holder, each.counts) for each in desk.requests]
     assert found == [("anna/phone", "operator anna", counts)]
-    assert [why[:2] for why in desk.rejected] == [("anna/phone", Reason.BUTTON_DENIED)] * 3
+    assert [why[:2] for why in desk.rejected] == [(("anna/phone", None), Reason.BUTTON_DENIED)] * 3
 
 
 def test_who_has_not_is_denied() -> None:
@@ -243,7 +243,7 @@ def test_who_has_not_is_denied() -> None:
     desk.now_ns += NONCE_NS
     desk.claim("acquire", proof(nonce=stale))
     assert len(desk.requests) == 1, "the first with a nonce that was good"
-    assert {why[:2] for why in desk.rejected} == {("anna", Reason.LEASE_DENIED)}
+    assert {why[:2] for why in desk.rejected} == {(("anna", None), Reason.LEASE_DENIED)}
     of_nonces = ("none of this gateway's", "proof.signature", "has been used", "has been used", "older than 5 s")
     for (_, _, detail), sentence in zip(desk.rejected, ("proof is missing", *of_nonces), strict=True):
         assert sentence in detail

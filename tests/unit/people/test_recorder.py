@@ -211,8 +211,9 @@ async def test_without_a_ring_it_drives_all_the_same_and_says_so_once(
     robot = recorded(folder)
     assert robot.ask(LEG_3, START).accepted
     await asyncio.sleep(1)
-    event = robot.events()[-1]
-    assert (event.kind, event.incident) == (Kind.WATCHDOG_EXPIRED, None), "no incident that nobody can look at"
+    expired, stopped = robot.events()[-2:]
+    assert [expired.kind, stopped.kind] == [Kind.WATCHDOG_EXPIRED, Kind.LEGS_STOPPED]
+    assert expired.incident is stopped.incident is None, "no incident that nobody can look at"
     assert robot.state().incident is None
     (said,) = (entry.message for entry in caplog.records if "black box" in entry.message)
     assert said == f"the black box is off: {folder}: {why}"

@@ -11,7 +11,7 @@ from gateway.errors import SpiError
 from gateway.model.black_box import RING_FILE
 from gateway.model.frames import PREAMBLE_ZEROS, ZERO, Framing, OneLeg, Op, ServoOp, stop_leg
 from gateway.people.recorder import ring_reader as rec
-from gateway.robot.core.events import Transmit
+from gateway.robot.core.events import NOBODY, Transmit
 from gateway.robot.core.message import Verb
 from schemas import keys
 from schemas.robot import LEGS
@@ -30,7 +30,7 @@ async def test_a_rejection_repeats_no_token_that_stands_in_a_key(key: str) -> No
     robot = Robot()
     token = "0123456789abcdef" * 2
     ack = robot.ask(key.format(token), {})
-    robot.conductor.executor.reject_unread(key.format(token), None, "nothing reads this key")
+    robot.conductor.executor.reject_unread(key.format(token), NOBODY, "nothing reads this key")
     rejections = robot.events(Kind.COMMAND_REJECTED)
     assert len(rejections) == 2
     assert not any(token in report.model_dump_json() for report in (ack, *rejections))
@@ -129,7 +129,7 @@ async def test_the_black_box_has_each_command_that_stops_with_its_sender_and_tim
 # ---- Another program changed the device's settings: what is published, what is stopped, and which Stops still leave
 
 
-CYCLE = [Kind.BUS_MEDDLED, Kind.BUS_FAULT, Kind.BUS_RECOVERED]
+CYCLE = [Kind.BUS_MEDDLED, Kind.BUS_FAULT, Kind.BUS_RECOVERED, Kind.LEGS_STOPPED]
 
 
 async def meddled(monkeypatch: pytest.MonkeyPatch) -> tuple[Robot, list[str]]:

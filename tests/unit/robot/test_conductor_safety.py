@@ -67,7 +67,10 @@ async def test_the_emergency_stop_goes_ahead_of_everything_that_waits_and_latche
     assert robot.ask(LEG_3, leg("stop")).reason == Reason.ESTOPPED
     again = robot.ask(keys.ESTOP)
     assert (again.stop_frames, again.estop) == (6, 2), "engaging twice sends the Stops again"
-    assert [event.kind for event in robot.events() if event.kind != Kind.COMMAND_REJECTED] == [Kind.ESTOP_ENGAGED]
+    assert [event.kind for event in robot.events() if event.kind != Kind.COMMAND_REJECTED] == [
+        Kind.ESTOP_ENGAGED,
+        Kind.LEGS_STOPPED,
+    ]
     await asyncio.sleep(0.1)
     assert robot.ask(keys.RESET, {"estop": 2}).accepted
     assert robot.ask(LEG_3, START).accepted
@@ -247,7 +250,9 @@ async def test_a_failing_bus_is_reopened_with_pauses_and_all_legs_stopped(count:
     assert [event.kind for event in robot.events() if event.kind != Kind.COMMAND_REJECTED] == [
         Kind.BUS_FAULT,
         Kind.BUS_RECOVERED,
+        *[Kind.LEGS_STOPPED] * 2,
     ]
+    assert {number for event in robot.events(Kind.LEGS_STOPPED) for number in event.legs} == {*LEGS}
     # Nothing old is sent: the first that the controller hears again is a Stop, and so is everything else.
     assert all(frame.is_stop for _, frame in robot.frames)
     assert [frame for _, frame in robot.frames][-48:-18] == ALL_STOPS * 5, "repeated though nothing else comes"

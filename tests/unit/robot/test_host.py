@@ -159,7 +159,7 @@ def bytecodes(do: Callable[[], object]) -> tuple[int, int]:
 @pytest.mark.parametrize(
     ("key", "payload", "most", "most_distinct"),
     [
-        pytest.param(keys.ESTOP, {}, 9900, 3250, id="an emergency stop while all legs run"),
+        pytest.param(keys.ESTOP, {}, 10800, 3500, id="an emergency stop while all legs run"),
         pytest.param(keys.leg_command(3), leg("set", 91, 45, 120), 2330, 1880, id="a leg's setpoint"),
         pytest.param(keys.LEGS_COMMAND, _ALL, 6450, 1850, id="a setpoint of all legs"),
     ],

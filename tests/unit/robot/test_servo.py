@@ -78,7 +78,7 @@ def assigned(path: Path) -> Iterator[str]:
 
 def test_no_other_file_assigns_the_fields_of_a_servo() -> None:
     """Other values have some of these names, too, and assign them to `self`, or to what is no servo."""
-    own = {each.name for each in fields(Servo)} - {"source", "command"}
+    own = {each.name for each in fields(Servo)} - {"sender", "command"}
     found = {
         f"{path.name}: {name}"
         for path in ROBOT.rglob("*.py")

@@ -195,8 +195,9 @@ class SupervisorMachine(RuleBasedStateMachine):
         effects = self.supervisor.step(event, self.now_ns, self.instant_ns)
         nameless = self.nameless.step(without, self.now_ns, self.instant_ns)
         if not self.supervisor._rules.takeover_cdeg_s:
-            handovers = announced(effects, {Kind.SOURCE_CHANGED})
-            same = [numbered(effect) for effect in effects if effect not in handovers] == list(map(numbered, nameless))
+            named = announced([*effects, *nameless], {Kind.SOURCE_CHANGED, Kind.LEGS_STOPPED})
+            one, other = ([numbered(each) for each in both if each not in named] for both in (effects, nameless))
+            same = one == other
             demand(same, "the source of commands changes only events, and the speed of a take-over")
         demand(self.supervisor.mode in TRANSITIONS[mode][type(event)], f"{mode} leads to {self.supervisor.mode}")
         self.oracle.judge(event, self.now_ns, effects, self.supervisor, self.instant_ns)

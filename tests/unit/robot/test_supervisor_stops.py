@@ -20,6 +20,23 @@ def test_a_silent_leg_is_stopped() -> None:
         watchdogs expired idle idle idle idle idle""")
 
 
+def test_an_event_for_each_cause_names_the_legs_that_ran_or_waited_to_start() -> None:
+    """Not those that rest, nor a second time those that another cause has stopped in the same step."""
+    play("""
+        rules start_pause_ms=15
+        100 legs 12 start 90 (source anna)
+        101 legs 123 stop (source bert)
+        halted bert stopped legs 1 and 2
+        102 legs 123 stop (source bert)
+        halted
+        200 leg 1 start 90
+        440 leg 2 start 90
+        450 leg 1 stop
+        halted the watchdog stopped leg 1
+        460 estop
+        halted the emergency stop stopped leg 2""")
+
+
 def test_other_legs_do_not_feed_it() -> None:
     play("""
         100 leg 1 start 90
