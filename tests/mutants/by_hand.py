@@ -115,7 +115,7 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
         ),
     ),
     "gateway/robot/core/servo.py": (
-        ByHand("the oldest angle of a start counts", "STARTS[op.angle_cdeg] if", "(self.target or op) if"),
+        ByHand("the oldest angle of a start counts", "STARTS[op.angle_cdeg] if", "self.target if"),
     ),
     "gateway/robot/core/stops.py": (
         ByHand(

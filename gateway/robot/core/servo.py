@@ -104,7 +104,7 @@ class Servo:  # mutants accepted (Step): set before it is read
     # ---- its transitions
 
     def take(self, op: ServoOp, command: Command, from_cdeg: int | None = None) -> None:
-        """Take a start or a set as the newest target. A waiting start stays a start.
+        """Take a start or a set as the newest target. A pending start stays a start, also of a running servo.
 
         `from_cdeg` is where a start begins. A waiting start keeps this angle, however long it waits.
         """
@@ -115,7 +115,8 @@ class Servo:  # mutants accepted (Step): set before it is read
             self.from_cdeg = from_cdeg
         self.life = life
         self.sender = command.sender
-        self.target = STARTS[op.angle_cdeg] if life is WAITING and op.op is OP_SET else op
+        waits = self.target is not None and self.target.op is OP_START
+        self.target = STARTS[op.angle_cdeg] if waits and op.op is OP_SET else op
         self.command, self.begun = command, False
 
     def land(self, angle_cdeg: int, pace_cdeg_s: int, now_ns: int) -> None:

@@ -27,6 +27,13 @@ def test_a_set_is_rejected_after_every_kind_of_stop(stop: str) -> None:
 
 
 SCENES: Final = {
+    "a pending start of a running servo stays a start": """
+        10 leg 1 start 90
+        15 leg 1 start 80
+        20 leg 1 start 70
+        21 leg 1 start 60 → nothing
+        22 leg 1 set 50 → completed 4 coalesced
+        40 time → command 1 start 50; completed 5""",
     "a leg is shown as expired until it is started or stopped as a whole": """
         1000 leg 1 start 90
         1300 servo 12 stop
