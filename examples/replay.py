@@ -73,7 +73,7 @@ def main(file: Path, endpoint: str, real: bool, deg_s: float = 180) -> None:
     with Client(endpoint, source="replay") as robot:
         state = robot.state()
         if not (state.simulated or real):
-            raise SystemExit("This is a real robot, and its legs would go where the recording says. --real moves it.")
+            raise SystemExit("This is a real robot, and its legs would go to recorded angles. --real moves it.")
         recorded = poses(file)
         if (first := next(recorded, None)) is None:
             raise SystemExit(f"{file} has no commanded leg")
