@@ -90,7 +90,7 @@ def load_plugin(name: str, options: Mapping[str, object]) -> ServoWire:
         made = found[name].load()(options)
     except ValueError:
         raise
-    except (Exception, SystemExit) as error:  # a foreign module may raise anything
+    except BaseException as error:  # a foreign module may raise anything
         raise ValueError(f"{named} cannot be loaded with these options: {type(error).__name__}: {error}") from error
     if not isinstance(made, ServoWire) or not isinstance(made.capabilities, Capabilities):
         raise ValueError(f"{named} is no gateway.wire.ServoWire with its Capabilities")

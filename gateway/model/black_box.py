@@ -231,6 +231,8 @@ def file_bytes(slots: int) -> int:
 
 def slots_of(head: bytes, size: int) -> int:
     """Return how many slots a file of `size` bytes with this head has. Raises DamagedRingError if it is no ring."""
+    if not size:
+        raise DamagedRingError("it is empty: its gateway had no room for it, as its log states")
     slots = max(0, size - HEADER_BYTES) // SLOT
     if not slots or size != file_bytes(slots) or head != new_header(slots):
         raise DamagedRingError("it is no black box of this version")

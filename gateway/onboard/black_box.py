@@ -1,6 +1,8 @@
 """`hexapod-gateway incidents`: list, explain and export the incidents in the black box."""
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
@@ -24,11 +26,12 @@ LAST: Final = "last"
 
 def list_all(settings: Settings, *, as_json: bool = False) -> None:
     """Print the incidents, newest first. Raises ConfigError."""
-    records = _read(settings)
-    rows = [
-        {"id": incident.name, "time": time_of(incident.name).isoformat(), "what": headline(messages(incident, records))}
-        for incident in reversed(find(records))
-    ]
+    with _forged(settings):
+        records = _read(settings)
+        rows = [
+            {"id": each.name, "time": time_of(each.name).isoformat(), "what": headline(messages(each, records))}
+            for each in reversed(find(records))
+        ]
     if as_json:
         typer.echo(json.dumps(rows, indent=1))
         return
@@ -43,8 +46,9 @@ def show(settings: Settings, name: str, *, as_json: bool = False) -> None:
 
     Raises GatewayError without it, and ConfigError if the black box is off or unreadable.
     """
-    incident, records = _one(settings, name)
-    lines = story(list(messages(incident, records)))
+    with _forged(settings):
+        incident, records = _one(settings, name)
+        lines = story(list(messages(incident, records)))
     if as_json:
         typer.echo(json.dumps({"id": incident.name, "story": lines}, indent=1, ensure_ascii=False))
         return
@@ -57,9 +61,20 @@ def export(settings: Settings, name: str, file: Path) -> None:
 
     Raises as `show` does, and ConfigError if `file` exists or cannot be written.
     """
-    incident, records = _one(settings, name)
-    write(file, incident, records)
+    with _forged(settings):
+        incident, records = _one(settings, name)
+        write(file, incident, records)
     say(f"{incident.name} is in {file}")
+
+
+@contextmanager
+def _forged(settings: Settings) -> Iterator[None]:
+    """Turn what reading a forged record raises into a ConfigError."""
+    try:
+        yield
+    except ring_reader.FORGED as error:
+        where = f"{_folder(settings) / RING_FILE}: a record is not what this gateway writes"
+        raise ConfigError(f"{where} ({type(error).__name__}: {error}); the black box may be forged") from error
 
 
 def _folder(settings: Settings) -> Path:

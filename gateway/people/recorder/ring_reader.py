@@ -10,6 +10,7 @@ a running gateway. All records as objects would take eight times.
 import math
 import os
 import stat
+import struct
 from array import array
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
@@ -30,6 +31,9 @@ from schemas.telemetry import Cause
 
 _MAX_BYTES: Final = form.file_bytes(MAX_SLOTS)
 
+
+FORGED: Final = (ValueError, LookupError, ArithmeticError, TypeError, OSError, struct.error)
+"""What reading a forged record raises. A record that this program wrote raises none of them."""
 
 # ---- records
 
@@ -155,7 +159,7 @@ class Records:
         return len(self.times_ns)
 
     def __getitem__(self, index: int) -> Record:
-        return Record(self._numbers[index], self.times_ns[index], _READERS[self.kinds[index]](self._rests[index]))
+        return Record(self._numbers[index], self.times_ns[index], _content(self.kinds[index], self._rests[index]))
 
     def __iter__(self) -> Iterator[Record]:
         return map(self.__getitem__, range(len(self)))
@@ -226,13 +230,24 @@ def _contents(slots: Mapping[int, form.Slot], number: int) -> Iterator[tuple[int
         last = more
         rest += last.rest
     if slot.kind == form.CARRIED_OUT:
-        after_ns, transfer_ns, length, data = form.CARRIED_OUT_HEAD.unpack_from(rest)
-        command = rest[form.CARRIED_OUT_HEAD.size :]
-        accepted, _, _ = form.COMMAND_HEAD.unpack_from(command)
+        try:
+            after_ns, transfer_ns, length, data = form.CARRIED_OUT_HEAD.unpack_from(rest)
+            command = rest[form.CARRIED_OUT_HEAD.size :]
+            accepted, _, _ = form.COMMAND_HEAD.unpack_from(command)
+        except struct.error:
+            return
         yield form.COMMAND, slot.ns, command
         yield form.FRAME, slot.ns + after_ns, form.frame(data[:length], Cause.COMMAND, transfer_ns, 0, accepted)
     elif slot.kind in _READERS:
         yield slot.kind, slot.ns, rest
+
+
+def _content(kind: int, rest: bytes) -> Content:
+    """Return what a record states, or a note that nobody can read it: its checksum is right and its content is not."""
+    try:
+        return _READERS[kind](rest)
+    except FORGED as error:
+        return Noted("unreadable", f"{type(error).__name__} in a record of kind {kind}")
 
 
 def _fields(kind: type[C]) -> Callable[[bytes], C]:

@@ -169,14 +169,14 @@ class Recorder:
             self._open(owner)
 
     def _open(self, owner: AbstractContextManager[None]) -> None:
-        folder = self._folder
-        if folder is None:
+        if self._folder is None:
             return
+        self._path = self._folder
         try:
-            self._path = rings.prepare(folder)
+            self._path = rings.prepare(self._folder)
             ring = RecordRing(self._path, rings.slots_for(self._settings))
         except OSError as error:
-            logger.warning("the black box is off: %s: %s", folder, error.strerror or error)
+            logger.warning("the black box is off: %s: %s", self._path, error.strerror or error)
             with owner:
                 self._folder = self.incident = None
             return

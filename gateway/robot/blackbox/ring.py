@@ -50,7 +50,7 @@ class RecordRing:
                 raise BlockingIOError(errno.EAGAIN, "another gateway writes to it")
             found = os.fstat(self._fd)
             if not stat.S_ISREG(found.st_mode) or found.st_uid != os.geteuid() or found.st_nlink != 1:
-                raise PermissionError(f"{path} belongs to another user")  # it may be planted, such as in /dev/shm
+                raise PermissionError("it belongs to another user")  # it may be planted, such as in /dev/shm
             size = form.file_bytes(slots)
             whole = found.st_size == size and os.pread(self._fd, HEADER_BYTES, 0) == form.new_header(slots)
             if not whole:
@@ -60,7 +60,11 @@ class RecordRing:
                     with suppress(OSError):
                         copy.unlink()
             # Allocate all blocks: with a hole and a full disk, a later write would end in SIGBUS.
-            os.posix_fallocate(self._fd, 0, size)
+            try:
+                os.posix_fallocate(self._fd, 0, size)
+            except OSError:
+                os.ftruncate(self._fd, 0)  # readers then state that there was no room
+                raise
             self._map = mmap.mmap(self._fd, size, flags=mmap.MAP_SHARED | getattr(mmap, "MAP_POPULATE", 0))
         except BaseException:
             os.close(self._fd)
@@ -118,7 +122,8 @@ def tried() -> Path:
 def prepare(folder: Path) -> Path:
     """Make a link in the folder to the ring, and return the ring's path. Raises OSError, also for a missing folder.
 
-    The ring is in memory, or in the folder itself if the system has no folder in memory.
+    The ring is in memory, or in the folder itself if no folder in memory can be written. In /dev/shm another user may
+    have taken its name; then it gets another name, which the link keeps.
     """
     os.listdir(folder)
     link, runtime = folder / RING_FILE, runtime_directory()
@@ -126,9 +131,24 @@ def prepare(folder: Path) -> Path:
     places = (os.environ.get("XDG_RUNTIME_DIR", ""), "/dev/shm")  # noqa: S108  the owner is checked
     in_memory = (Path(each) / name for each in places if each and os.access(each, os.W_OK))
     place = next(in_memory, link) if runtime is None else runtime / RING_FILE
+    if place != link and _foreign(place):
+        before = Path(os.readlink(link)) if link.is_symlink() else link
+        kept = before.parent == place.parent and before.name.startswith(name) and not _foreign(before)
+        place = before if kept else place.with_name(f"{name}-{os.urandom(4).hex()}")
+    if place == link and link.is_symlink():
+        link.unlink()
     if place != link and (not link.is_symlink() or Path(os.readlink(link)) != place):
         new = link.with_suffix(".new")
         new.unlink(missing_ok=True)
         new.symlink_to(place)
         new.replace(link)
     return place
+
+
+def _foreign(path: Path) -> bool:
+    """Return whether something is at `path` that is no file of this user's."""
+    try:
+        found = path.lstat()
+    except FileNotFoundError:
+        return False
+    return not stat.S_ISREG(found.st_mode) or found.st_uid != os.geteuid() or found.st_nlink != 1

@@ -54,9 +54,9 @@ class PluginDevice(SpiDevice):
             self._listen()
         try:
             wire.open()
-        except (Exception, SystemExit) as error:  # foreign code, whose exit code would become the gateway's
+        except BaseException as error:  # foreign code, whose exit code would become the gateway's
             if not isinstance(error, OSError):
-                with suppress(Exception, SystemExit):
+                with suppress(BaseException):
                     wire.apply(_STOP_ALL)
             self.close()
             raise self._fault(error) from error
@@ -87,7 +87,7 @@ class PluginDevice(SpiDevice):
             changes = _STOP_ALL
         try:
             self._wire.apply(changes)
-        except (Exception, SystemExit) as error:
+        except BaseException as error:
             if stops and len(changes) < len(SERVO_IDS):
                 self._stop_singly(changes)
             raise self._fault(error) from error
@@ -102,7 +102,7 @@ class PluginDevice(SpiDevice):
         """Stop servos one by one: if one servo's electronics failed, later ones of the same call may still run."""
         until_ns = time.monotonic_ns() + SINGLY_NS
         for change in changes:
-            with suppress(Exception, SystemExit):
+            with suppress(BaseException):
                 if time.monotonic_ns() < until_ns:
                     self._wire.apply((change,))
 
@@ -110,7 +110,7 @@ class PluginDevice(SpiDevice):
         return None if self._listener is None else self._listener.poll()
 
     def close(self) -> None:
-        with suppress(Exception):  # the Stops are already written
+        with suppress(BaseException):  # the Stops are already written
             self._wire.close()
         if self._lock is not None:
             os.close(self._lock)

@@ -3,7 +3,10 @@
 import json
 import os
 import tempfile
+import time
 from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -13,7 +16,9 @@ from gateway.model import black_box as form
 from gateway.model.black_box import RING_FILE
 from gateway.onboard import black_box
 from gateway.robot.blackbox import ring as rings
+from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.blackbox.ring import RecordRing
+from gateway.robot.host.ownership import Ownership
 from gateway.robot.settings import Settings
 from tests.support.command import run_here
 from tests.support.full_disk import disk_that_takes
@@ -94,11 +99,83 @@ def test_a_ring_that_somebody_else_has_made_is_not_shown(
 
 def test_a_damaged_ring_is_not_taken_for_an_empty_one(folder: Path, ring_at: Path) -> None:
     ring_at.write_bytes(b"")
+    with pytest.raises(ConfigError, match="it is empty: its gateway had no room for it"):
+        black_box.list_all(settings(folder))
+    ring_at.write_bytes(bytes(100))
     with pytest.raises(ConfigError, match="it is no black box of this version"):
         black_box.list_all(settings(folder))
     ring_at.unlink()
     with pytest.raises(GatewayError, match="no incidents in"):
         black_box.show(settings(folder), "last")
+
+
+FORGED: list[tuple[int, bytes]] = [
+    *((kind, rest) for kind in range(20) for rest in (b"", b"\xff" * 60, b"[]", b"[1, 2, 3, 4, 5, 6]", bytes(60))),
+    (form.INCIDENT, form.fields(WALL_NS, "no-time-watchdog")),
+    (form.INCIDENT, form.fields(2**70, NAME)),
+    (form.START, form.fields(-(2**70), {})),
+    (form.EVENT, form.fields("no_kind", None, None, None, "", 0)),
+    (form.FRAME, form.frame(b"\xff" * 8, "no cause", 2**40, 2**40, 7)),
+    (form.NOTE, form.fields("mode", "1" * 90)),
+]
+
+
+@pytest.mark.parametrize("kind", range(20))
+def test_a_forged_record_ends_in_no_traceback(folder: Path, ring_at: Path, kind: int, tmp_path: Path) -> None:
+    for count, (forged, rest) in enumerate(each for each in FORGED if each[0] == kind):
+        ring_at.unlink()
+        ring = RecordRing(ring_at, 100)
+        ring.append(form.INCIDENT, 5, form.fields(WALL_NS, NAME))
+        ring.append(forged, 6, rest[:90])
+        ring.append(forged, 2**63 - 1, rest[:90])
+        ring.close()
+        for call in (
+            partial(black_box.list_all, settings(folder)),
+            partial(black_box.show, settings(folder), "last"),
+            partial(black_box.export, settings(folder), NAME, tmp_path / f"{count}.mcap"),
+        ):
+            with suppress(GatewayError):
+                call()
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="to give a file away takes root")
+def test_a_name_that_another_user_has_taken_is_left_to_him(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delenv("RUNTIME_DIRECTORY")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    ring_at = rings.prepare(folder)
+    ring_at.touch()
+    os.chown(ring_at, 65533, -1)
+    path = rings.prepare(folder)
+    assert path != ring_at
+    ring = RecordRing(path, 100)
+    ring.append(form.INCIDENT, 5, form.fields(WALL_NS, NAME))
+    ring.close()
+    assert rings.prepare(folder) == path, "the next run goes on with it"
+    black_box.list_all(settings(folder))
+    assert NAME in capsys.readouterr().out
+
+
+def test_where_no_folder_in_memory_can_be_written_the_ring_is_in_its_own_folder(
+    folder: Path, ring_at: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A link of an earlier run led elsewhere."""
+    monkeypatch.delenv("RUNTIME_DIRECTORY")
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    path = rings.prepare(folder)
+    assert path != ring_at
+    RecordRing(path, 100).close()
+    assert not path.is_symlink()
+
+
+def test_a_ring_without_room_is_named_in_the_log(folder: Path, ring_at: Path, caplog: pytest.LogCaptureFixture) -> None:
+    recorder = Recorder(settings(folder), {}, time.monotonic_ns, time.time_ns)
+    with disk_that_takes(50):
+        recorder.open(Ownership())
+    assert f"the black box is off: {ring_at}: File too large" in caplog.text
+    with pytest.raises(ConfigError, match="it is empty"):
+        black_box.list_all(settings(folder))
 
 
 @pytest.mark.usefixtures("ring_at")

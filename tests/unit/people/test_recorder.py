@@ -216,7 +216,8 @@ async def test_without_a_ring_it_drives_all_the_same_and_says_so_once(
     assert expired.incident is stopped.incident is None, "no incident that nobody can look at"
     assert robot.state().incident is None
     (said,) = (entry.message for entry in caplog.records if "black box" in entry.message)
-    assert said == f"the black box is off: {folder}: {why}"
+    place = folder if why == "Not a directory" else folder.with_name(RING_FILE)
+    assert said == f"the black box is off: {place}: {why}"
 
 
 @pytest.mark.parametrize(("rate", "records"), [(50, 78_000), (10, 20_400), (1000, 500_000)])

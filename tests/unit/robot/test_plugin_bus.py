@@ -27,6 +27,7 @@ class Exits(ServoWire):
     """Ends the process in place of raising."""
 
     stopped: ClassVar[set[int]] = set()
+    error: ClassVar[BaseException] = SystemExit(2)
 
     def open(self) -> None:
         self.stopped.clear()
@@ -34,7 +35,7 @@ class Exits(ServoWire):
     def apply(self, changes: Sequence[tuple[int, float | None]]) -> None:
         for servo, _ in changes:
             if servo == 12:
-                sys.exit(2)
+                raise self.error
             self.stopped.add(servo)
 
     def close(self) -> None:
@@ -86,10 +87,14 @@ async def test_a_stop_beside_moves_comes_first_in_a_call_of_its_own_and_the_answ
     assert [servo.running for servo in robot.state().legs[0].servos] == [False, True, True]
 
 
-def test_one_that_calls_exit_is_a_bug_and_the_other_servos_are_stopped() -> None:
+@pytest.mark.parametrize("error", [SystemExit(2), KeyboardInterrupt(2), GeneratorExit(2)], ids=type)
+def test_one_that_calls_exit_is_a_bug_and_the_other_servos_are_stopped(
+    monkeypatch: pytest.MonkeyPatch, error: BaseException
+) -> None:
+    monkeypatch.setattr(Exits, "error", error)
     bus = plugin_bus(WireSettings("exits", {}))
     bus.open()
-    with pytest.raises(RuntimeError, match="exits: SystemExit: 2"):
+    with pytest.raises(RuntimeError, match=f"exits: {type(error).__name__}: 2"):
         bus.write([stop_leg(1)])
     assert Exits.stopped == {11, 13}, "a mistake with one servo keeps no Stop from the others"
 
