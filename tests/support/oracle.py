@@ -64,7 +64,7 @@ class Oracle(RobotHistory):
         kept = self.calibration.kept(event, effects, self.alive) if isinstance(event, CalibrationSaved) else None
         judge_results(effects)
         effects = self.calibration.read(effects)
-        self._lost = frozenset()
+        self._lost = self.late = frozenset()
         halted, lived = announced(effects, {Kind.LEGS_STOPPED}), self.alive
         effects = [each for each in effects if each not in halted]
         ran = bool(self.energised)
@@ -137,7 +137,7 @@ class Oracle(RobotHistory):
         demand(holder == self.lease.holder, f"{self.lease.holder} holds the lease, not {holder}")
         demand(alive == self.buttons.alive, f"{self.buttons.alive} are alive, not {alive}")
         self._after(now_ns, after.due_ns, ran=ran)
-        judge_halts(effects, halted, lived, lived - self.alive)
+        judge_halts(effects, halted, lived - self.late, lived - self.alive)
 
     def _all_stopped(self, effects: Sequence[Effect], cause: Cause, reason: Reason, now_ns: int) -> None:
         frames = [(effect.frame, effect.cause) for effect in effects if isinstance(effect, Transmit)]
