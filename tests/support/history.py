@@ -41,19 +41,20 @@ def announced(effects: Iterable[events.Effect], kinds: Collection[Kind]) -> list
 
 
 def judge_halts(
-    effects: Sequence[events.Effect], halted: Sequence[events.Announce], alive: Set[int], ended: Set[int]
+    effects: Sequence[events.Effect], halted: Sequence[events.Announce], stopped: Set[int], ended: Set[int]
 ) -> None:
-    """Each first Stop of a servo that was `alive` is announced with its cause; nothing else that has not `ended` is."""
+    """Each first Stop of a servo that it `stopped` is announced with its cause; nothing is that has not `ended`."""
     written = {
-        (effect.cause, servo_id // 10)
+        (effect.cause, servo_id)
         for effect in effects
         if isinstance(effect, events.Transmit) and effect.cause is not Cause.REPEAT
         for servo_id, op in effect.frame.servos
-        if op.op is Op.STOP and servo_id in alive & ended
+        if op.op is Op.STOP and servo_id in ended
     }
     told = [(each.cause, leg) for each in halted for leg in each.legs]
-    stopped = {leg for _, leg in written}  # a second cause in the step finds it stopped
-    demand({leg for each, leg in told if (each, leg) in written} == stopped, f"not as announced: {written}, {told}")
+    named = {servo_id // 10 for cause, servo_id in written if (cause, servo_id // 10) in told}
+    legs = {servo_id // 10 for _, servo_id in written if servo_id in stopped}  # a second cause finds it stopped
+    demand(legs <= named, f"not as announced: {written}, {told}")
     demand({leg for _, leg in told} <= {each // 10 for each in ended}, f"not stopped, and announced: {told}")
     causes = [(each.cause, each.source, each.source_id) for each in halted]
     demand(len(set(causes)) == len(causes) and all(each.legs for each in halted), f"once for each cause: {causes}")

@@ -92,7 +92,10 @@ _KNOWN: Final = (
     (Registration, "name holder counts count until_ns source_id silent offset_ns newest_ns least_ns"),
     (_ROBOT.legs.limits, "of_settings pose_of_settings avoid_cdeg calibration wire limited free_cdeg"),
     (_ROBOT.calibrating, "_rules _legs _limits fault saving"),
-    (_ROBOT.legs, "_rules limits by_number _all servos gates _pace stops sends instant_ns landing_ends_ns _halted"),
+    (
+        _ROBOT.legs,
+        "_rules limits by_number _all servos gates _pace stops sends instant_ns landing_ends_ns landing_from_ns _halted",
+    ),
     (_ROBOT.legs, "due_ns at_rest"),  # these follow from the others: `take` sees to that
     (_ROBOT.legs.gates, "supply stagger burst _gates"),
     (_ROBOT.legs.gates.burst, "judged_ns"),
@@ -308,7 +311,7 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
         (power.alive, power.closed, tuple(power._refused), legs.gates.supply.fed),
         _backlog_key(supervisor, now_ns),
         _calibrating_key(supervisor),
-        legs.landing_ends_ns and legs.landing_ends_ns - now_ns,
+        legs.landing_ends_ns and (legs.landing_ends_ns - now_ns, max(0, legs.landing_from_ns - now_ns)),
         stagger.pause_ns and max(0, stagger.next_ns - now_ns),
         tuple((rank[number], each.left, each.coalesced) for number, each in pending(supervisor).items()),
         tuple(

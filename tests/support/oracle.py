@@ -66,6 +66,8 @@ class Oracle(RobotHistory):
         effects = self.calibration.read(effects)
         self._lost = self.late = frozenset()
         halted, lived = announced(effects, {Kind.LEGS_STOPPED}), self.alive
+        rejected = {each for effect in effects if isinstance(effect, Rejected) for each in effect.request.servo_ids}
+        stops_end = lived - (rejected - self.energised)  # a start may end with its command, before a Stop
         effects = [each for each in effects if each not in halted]
         ran = bool(self.energised)
         due = any(servo.owed and now_ns >= servo.owed_ns for servo in self.servos.values())
@@ -137,7 +139,7 @@ class Oracle(RobotHistory):
         demand(holder == self.lease.holder, f"{self.lease.holder} holds the lease, not {holder}")
         demand(alive == self.buttons.alive, f"{self.buttons.alive} are alive, not {alive}")
         self._after(now_ns, after.due_ns, ran=ran)
-        judge_halts(effects, halted, lived - self.late, lived - self.alive)
+        judge_halts(effects, halted, stops_end - self.late, lived - self.alive)
 
     def _all_stopped(self, effects: Sequence[Effect], cause: Cause, reason: Reason, now_ns: int) -> None:
         frames = [(effect.frame, effect.cause) for effect in effects if isinstance(effect, Transmit)]

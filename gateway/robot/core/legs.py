@@ -59,6 +59,8 @@ class Legs:
         """Whether the bus is open and not at fault."""
         self.landing_ends_ns: int | None = None
         """When all six legs get their Stop, at any angle; None: the robot does not land."""
+        self.landing_from_ns = 0
+        """When the landing's first frames are due: until then no servo has a way to go."""
         self.at_rest = True
         """Whether no servo of any leg runs; as of the last `plan`."""
         self.begin(0)
@@ -110,7 +112,7 @@ class Legs:
                 leg.unfed_ns = now_ns if held else None
         due_ns, slot_ns = NEVER, leg.slots.next_ns
         if self.landing_ends_ns is not None and runs:
-            due_ns = self.landing_ends_ns
+            due_ns, slot_ns = self.landing_ends_ns, max(slot_ns, self.landing_from_ns)
         elif leg.commanded_ns is not None and (runs or leg.unfed_ns is None):
             due_ns = leg.commanded_ns + self._rules.timeout_ns
         if leg.unfed_ns is not None:
@@ -307,13 +309,14 @@ class Legs:
 
     def _send(self, leg: Leg, now_ns: int) -> list[Effect]:
         """Return the frame for this leg's targets that may leave now, if there is one."""
-        if now_ns < leg.slots.next_ns:
+        lands = self.landing_ends_ns is not None
+        if now_ns < leg.slots.next_ns or (lands and now_ns < self.landing_from_ns):
             return []
         waiting = [servo for servo in leg.servos if servo.target is not None]
         ready = [each for each in waiting if each.life is RUNNING or now_ns >= self.gates.opens_ns(each)]
         if not ready:
             return []
-        before_ns, lands = leg.slots.taken_ns, self.landing_ends_ns is not None
+        before_ns = leg.slots.taken_ns
         leg.slots.take(now_ns)
         if any(servo.life is WAITING for servo in ready):
             self.gates.stagger.started(now_ns)
@@ -362,9 +365,9 @@ class Legs:
         """Begin to move each running servo to its angle of the pose until `ends_ns`. Reject all waiting commands."""
         effects = self.drop(self.servos.values(), Reason.LANDING, "the robot lands, and is then stopped")
         self.landing_ends_ns, pose_cdeg = ends_ns, self.limits.landing_cdeg()
+        self.landing_from_ns = now_ns + self._rules.period_ns
         for leg in self:
             leg.sender = NOBODY
-            leg.slots.wait_until(now_ns + self._rules.period_ns)  # until then no servo has a way to go
             for servo in leg.servos:
                 if servo.life is RUNNING and servo.servo_id in pose_cdeg:
                     self._pace.land(servo, pose_cdeg[servo.servo_id], now_ns)

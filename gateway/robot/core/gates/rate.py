@@ -33,10 +33,6 @@ class RateSlots:  # mutants accepted (Gt_GtE, Step): equal times; a clock begins
     taken_ns: int = 0
     """When the latest frame left."""
 
-    def wait_until(self, until_ns: int) -> None:
-        """Let no frame leave before this time."""
-        self.next_ns = until_ns if until_ns > self.next_ns else self.next_ns
-
     def take(self, now_ns: int) -> None:
         """Use up the oldest slot that the bucket holds, for a frame that leaves now."""
         kept_ns = now_ns - (BUCKET - 1) * self.period_ns
