@@ -92,10 +92,8 @@ _KNOWN: Final = (
     (Registration, "name holder counts count until_ns source_id silent offset_ns newest_ns least_ns"),
     (_ROBOT.legs.limits, "of_settings pose_of_settings avoid_cdeg calibration wire limited free_cdeg"),
     (_ROBOT.calibrating, "_rules _legs _limits fault saving"),
-    (
-        _ROBOT.legs,
-        "_rules limits by_number _all servos gates _pace stops sends instant_ns landing_ends_ns landing_from_ns _halted",
-    ),
+    (_ROBOT.legs, "_rules limits by_number _all servos gates _pace stops sends instant_ns _halted"),
+    (_ROBOT.legs, "landing_ends_ns landing_from_ns"),
     (_ROBOT.legs, "due_ns at_rest"),  # these follow from the others: `take` sees to that
     (_ROBOT.legs.gates, "supply stagger burst _gates"),
     (_ROBOT.legs.gates.burst, "judged_ns"),
