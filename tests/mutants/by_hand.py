@@ -138,7 +138,7 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
     "gateway/robot/core/backlog.py": (
         ByHand("a clump adds nothing", "min(rules.most_clumped, stretch.score + CLUMPED)", "stretch.score"),
         ByHand("a key never begins anew", "now_ns - stretch.last_ns >= rules.quiet_ns:", "False:"),
-        ByHand("a busy reader is taken for a backlog", "stretch.room > 0, stretch.room - 1", "False, 0"),
+        ByHand("an answered get is taken for a clump", "1 if command.verb is _GET else rules", "rules"),
         ByHand("only the servo's own key counts", "servo.servo_id in each.servos", "len(each.servos) == 1"),
     ),
 }

@@ -4,7 +4,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import NamedTuple, Self
 
-from gateway.allowance import NS_PER_MS
 from gateway.robot.core.events import Command
 from gateway.robot.core.message import Verb
 from gateway.robot.core.rules import Rules
@@ -18,8 +17,6 @@ class Rhythm(NamedTuple):
     first_ns: int
     last_ns: int
     instant_ns: int
-    excused: int
-    """Further messages of this instant that may have waited for the reader."""
     messages: int
     score: int
     servos: frozenset[int]
@@ -29,7 +26,7 @@ class Rhythm(NamedTuple):
         """What of it still matters."""
         young_ns = max(0, self.first_ns + rules.start_wait_ns - now_ns)
         apart_ns = max(0, self.instant_ns + rules.apart_ns - now_ns)
-        return young_ns, now_ns - self.last_ns, apart_ns, self.excused, min(self.messages, 4), self.score, self.servos
+        return young_ns, now_ns - self.last_ns, apart_ns, min(self.messages, 4), self.score, self.servos
 
 
 @dataclass(slots=True)
@@ -41,38 +38,24 @@ class BacklogHistory:
     waiting_ns: dict[int, int] = field(default_factory=dict)
     taken_ns: dict[int, int] = field(default_factory=dict)
     """When the newest command for such a start was accepted: it is not rejected in the same step."""
-    instant_ns: int = 0
-    before_ns: int = 0
-    """From when on messages of this instant may have waited for the reader."""
-    read_ns: int = 0
 
     def clone(self) -> Self:
         """Return a copy."""
         changed = dict(self.rhythms), dict(self.waiting_ns), dict(self.taken_ns)
-        return type(self)(self.rules, *changed, self.instant_ns, self.before_ns, self.read_ns)
+        return type(self)(self.rules, *changed)
 
     def comes(self, command: Command, instant_ns: int, now_ns: int) -> None:
         """Take a command's message into account."""
         if not self.rules.start_wait_ns or command.sent_ms is not None or not command.moves or command.rejected:
             return
-        if instant_ns > self.instant_ns:
-            pause_ns = instant_ns - self.read_ns
-            self.before_ns = instant_ns
-            if pause_ns < NS_PER_MS:
-                self.before_ns = max(self.instant_ns, instant_ns - 3 * NS_PER_MS)
-            self.instant_ns = instant_ns
-        self.read_ns = now_ns
         old = self.rhythms.get(command.key)
         if old is None or now_ns - old.last_ns >= self.rules.quiet_ns:
-            old = Rhythm(now_ns, now_ns, LONG_AGO_NS, 0, 0, 0, frozenset())
-        if old.instant_ns == instant_ns:
-            alone, excused = old.excused > 0, max(0, old.excused - 1)
-        else:
-            alone = command.verb is Verb.GET or instant_ns - old.instant_ns >= self.rules.apart_ns
-            excused = 0 if old.instant_ns < self.before_ns else (instant_ns - self.before_ns) // NS_PER_MS
+            old = Rhythm(now_ns, now_ns, LONG_AGO_NS, 0, 0, frozenset())
+        apart_ns = instant_ns - old.instant_ns
+        alone = apart_ns > 0 if command.verb is Verb.GET else apart_ns >= self.rules.apart_ns
         score = max(old.score - 1, 0) if alone else min(old.score + 3, self.rules.most_clumped)
         servos = old.servos | {servo_id for servo_id, _ in command.moves}
-        self.rhythms[command.key] = Rhythm(old.first_ns, now_ns, instant_ns, excused, old.messages + 1, score, servos)
+        self.rhythms[command.key] = Rhythm(old.first_ns, now_ns, instant_ns, old.messages + 1, score, servos)
 
     def begins(self, servo_id: int, command: Command, now_ns: int, *, waits: bool) -> None:
         """Let an accepted start or set of a servo that does not run wait; `waits`: an earlier start of it does."""

@@ -87,8 +87,7 @@ _KNOWN: Final = (
     (_ROBOT.body, "_rules _legs watches low unknown closed beyond_ns objection"),
     (_ROBOT.power, "_rules _legs alive closed _refused"),
     (_ROBOT.backlog, "_rules _legs _stretches _judged_ns held"),
-    (_ROBOT.backlog, "_instant_ns _floor_ns _noted_ns"),  # so short a time excuses no message
-    (Stretch, "begun_ns last_ns count instant_ns room score servos"),
+    (Stretch, "begun_ns last_ns count instant_ns score servos"),
     (Registration, "name holder counts count until_ns source_id silent offset_ns newest_ns least_ns"),
     (_ROBOT.legs.limits, "of_settings pose_of_settings avoid_cdeg calibration wire limited free_cdeg"),
     (_ROBOT.calibrating, "_rules _legs _limits fault saving"),
@@ -239,7 +238,7 @@ def _backlog_key(supervisor: Supervisor, now_ns: int) -> tuple[object, ...]:
     """What of them still matters."""
     backlog, rules = supervisor.backlog, supervisor._rules
     rhythms = {
-        key: Rhythm(each.begun_ns, each.last_ns, each.instant_ns, 0, each.count, each.score, each.servos).key(
+        key: Rhythm(each.begun_ns, each.last_ns, each.instant_ns, each.count, each.score, each.servos).key(
             now_ns, rules
         )
         for key, each in backlog._stretches.items()

@@ -34,11 +34,6 @@ CLUMPED: Final = 3
 five, since its segments contain more than one and a half messages."""
 FEW: Final = 3
 """Up to this many messages of a key start a servo, even in a clump."""
-LEAST_PERIOD_NS: Final = NS_PER_MS
-"""Of the fastest stream, 1000 Hz."""
-BUSY_NS: Final = NS_PER_MS
-"""A reader that pauses for less between two instants counts as busy."""
-MOST_BUSY_NS: Final = 3 * NS_PER_MS
 _GET: Final = Verb.GET
 
 
@@ -51,8 +46,6 @@ class Stretch:
     count: int = 0
     instant_ns: int = -NS_PER_S
     """The instant of the latest message."""
-    room: int = 0
-    """How many further messages of this instant may have arrived while the reader was busy."""
     score: int = 0
     servos: frozenset[int] = frozenset()
     """The servos that they start or set."""
@@ -66,23 +59,14 @@ class Backlog:
         self._legs = legs
         self._judged_ns = legs.gates.burst.judged_ns
         self._stretches: dict[str, Stretch] = {}
-        self._instant_ns = self._floor_ns = self._noted_ns = 0
         self.held: dict[int, int] = {}
         """Servos whose starts wait, and since when (ns)."""
 
     def note(self, command: Command, now_ns: int) -> None:
-        """Count a command without `sent_ms`: does it arrive alone, or in a clump?
-
-        While the reader is busy, messages wait for it, and those of one instant have arrived since the instant before.
-        """
+        """Count a command without `sent_ms`: does it arrive alone, or in a clump?"""
         rules, instant_ns = self._rules, self._legs.instant_ns
         if not rules.start_wait_ns or not command.moves:
             return
-        if instant_ns != self._instant_ns:
-            busy = instant_ns - self._noted_ns < BUSY_NS
-            self._floor_ns = max(self._instant_ns, instant_ns - MOST_BUSY_NS) if busy else instant_ns
-            self._instant_ns = instant_ns
-        self._noted_ns = now_ns
         stretch = self._stretches.get(command.key)
         if stretch is None or now_ns - stretch.last_ns >= rules.quiet_ns:
             stretch = self._stretches[command.key] = Stretch(now_ns)
@@ -90,12 +74,9 @@ class Backlog:
         stretch.count += 1
         stretch.servos = stretch.servos.union([servo_id for servo_id, _ in command.moves])
         since_ns, stretch.instant_ns = stretch.instant_ns, instant_ns
-        if since_ns != instant_ns:
-            stretch.room = (instant_ns - self._floor_ns) // LEAST_PERIOD_NS if since_ns >= self._floor_ns else 0
-            # A program that waits for each answer may be faster than a stream.
-            alone = instant_ns - since_ns >= rules.apart_ns or command.verb is _GET
-        else:
-            alone, stretch.room = stretch.room > 0, stretch.room - 1
+        # A program that waits for each answer may be faster than a stream.
+        least_ns = 1 if command.verb is _GET else rules.apart_ns
+        alone = instant_ns - since_ns >= least_ns
         if alone:
             stretch.score = max(0, stretch.score - 1)
         else:
