@@ -170,6 +170,7 @@ class Oracle(RobotHistory):
             demand(not frames, "nothing is sent while the bus is at fault")
         ran = bool(self.energised)
         watchdog = self._unwatched(now_ns) + self._expired(now_ns)
+        self.judge_starts(now_ns)
         if isinstance(event, ButtonRequest):
             self.buttons.judge(event, now_ns, effects, ended=self.ended)
             watchdog += self._unwatched(now_ns)
@@ -180,7 +181,6 @@ class Oracle(RobotHistory):
             expired == [stop_leg(leg) for leg in watchdog],
             f"legs not heard for the timeout, and those that too few buttons watch, are stopped: {watchdog}",
         )
-        self.judge_starts(now_ns)
         stops: frozenset[int] = frozenset()
         if isinstance(event, Command):
             stops = self._command(event, now_ns, effects)
