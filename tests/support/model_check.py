@@ -560,6 +560,8 @@ def both_ways(supervisor: Supervisor, event: Event, now_ns: int, instant_ns: int
     demand(dues[0] == dues[1], f"the usual way leaves the same to do: {dues}")
     demand((usual.due_ns or now_ns) <= (general.due_ns or math.inf), "the usual way is never late")
     usual.due_ns = general.due_ns
+    usual.legs.gates.supply.begin()  # as each step begins
+    general.legs.gates.supply.begin()
     rank = {number: age for age, number in enumerate(sorted(pending(general)))}
     demand(key(usual, now_ns, rank) == key(general, now_ns, rank), "the usual way leads to the same state")
 
