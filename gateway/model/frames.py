@@ -35,7 +35,11 @@ ONE_SERVO_TYPE: Final = 2
 _ONE_LEG: Final = bytes((ONE_LEG_LEN, ONE_LEG_TYPE))
 _ONE_SERVO: Final = bytes((ONE_SERVO_LEN, ONE_SERVO_TYPE))
 _IDS: Final = {servo_id: bytes((servo_id,)) for servo_id in SERVO_IDS}
-_IDS_OF_LEG: Final = {leg: tuple(_IDS[10 * leg + joint] for joint in JOINTS) for leg in LEGS}
+_IDS_OF_LEG: Final = {
+    leg: ((one, two, three), (_ONE_LEG + _IDS[one], _IDS[two], _IDS[three]))
+    for leg, one, two, three in ((leg, *(10 * leg + joint for joint in JOINTS)) for leg in LEGS)
+}
+"""Of each leg: its servos, and the bytes of a frame that precede each operation."""
 
 
 class FrameError(ValueError):
@@ -126,11 +130,11 @@ class OneLeg(Frame):
         if leg not in LEGS:
             raise FrameError(f"the leg is {leg}; it is 1 to 6")
         first, second, third = commands
-        self.servos = ((10 * leg + 1, first), (10 * leg + 2, second), (10 * leg + 3, third))
+        ids, (one, two, three) = _IDS_OF_LEG[leg]
+        self.servos = tuple(zip(ids, commands, strict=True))
         self.leg = leg
-        self.is_stop = first.op is second.op is third.op is OP_STOP
-        one, two, three = _IDS_OF_LEG[leg]
-        self.data = _ONE_LEG + one + first.data + two + second.data + three + third.data
+        self.is_stop = first.op is OP_STOP and second.op is OP_STOP and third.op is OP_STOP
+        self.data = one + first.data + two + second.data + three + third.data
 
 
 def legs_of(servo_ids: Iterable[int]) -> tuple[int, ...]:

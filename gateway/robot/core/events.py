@@ -66,6 +66,14 @@ class Request:
         return bool(self.targets) and all(op.op is OP_STOP for _, op in self.targets)
 
 
+def _by_leg(targets: Targets) -> dict[int, Targets]:
+    by_leg: dict[int, Targets] = {}
+    for target in targets:
+        leg = target[0] // 10
+        by_leg[leg] = (*by_leg.get(leg, ()), target)
+    return by_leg
+
+
 @final
 @dataclass(slots=True, eq=False, kw_only=True)
 class Command(Request):
@@ -76,19 +84,20 @@ class Command(Request):
     rejected: "Rejected | None" = field(default=None, repr=False)
     """The rejection, if the command was rejected before the supervisor: only its Stops are carried out. The Stops of an
     unreadable message are such a command; its rejection answers another request."""
-    by_leg: dict[int, Targets] = field(init=False)
-    left: int = field(init=False)
+    by_leg: dict[int, Targets] = field(init=False, default_factory=dict)
+    left: int = field(init=False, default=0)
     """The number of targets that are not yet written or replaced by a newer command's."""
     coalesced: bool = False
     """Whether a newer command has replaced one of its targets."""
 
     def __post_init__(self) -> None:
-        by_leg = self.by_leg = {}
-        for target in self.targets:
-            leg = target[0] // 10
-            by_leg[leg] = (*by_leg[leg], target) if leg in by_leg else (target,)
-        self.left = len(self.targets)
-        self.moves = tuple([target for target in self.targets if target[1].op is not OP_STOP])
+        if self.targets:
+            self.aim(self.targets, _by_leg(self.targets))
+
+    def aim(self, targets: Targets, by_leg: dict[int, Targets]) -> None:
+        """Set the targets of a new command; `by_leg` has the same ones."""
+        self.targets, self.by_leg, self.left = targets, by_leg, len(targets)
+        self.moves = tuple([target for target in targets if target[1].op is not OP_STOP])
 
     @property
     def stops(self) -> Targets:

@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple
 
 from pydantic import ValidationError
 
-from gateway.model.frames import SETS, STARTS, STOP, servo_ids_of
+from gateway.model.frames import SETS, STARTS, STOP, ServoOp, servo_ids_of
 from gateway.robot.core.events import Command, Reset, Targets
 from gateway.robot.core.flat import into_dicts
 from gateway.robot.core.message import Received, Verb
@@ -32,7 +32,8 @@ from schemas.telemetry import Reason
 
 # ---- readers: each raises pydantic's ValidationError
 
-_MOVES: Final = {"start": STARTS, "set": SETS}
+_OPS: Final[Mapping[str, Mapping[int, ServoOp]]] = {"start": STARTS, "set": SETS, "stop": {0: STOP}}
+"""By the angle, in hundredths of a degree; a Stop has none."""
 _IDS_OF_LEG: Final = {leg: servo_ids_of(leg) for leg in LEGS}
 _LEG_COMMAND, _LEGS_COMMAND = into_dicts(LegCommand), into_dicts(LegsCommand)
 """Fast validators, for the setpoints of a gait."""
@@ -40,18 +41,19 @@ _LEG_COMMAND, _LEGS_COMMAND = into_dicts(LegCommand), into_dicts(LegsCommand)
 
 def _read_servo(servo_id: int, payload: bytes) -> Command:
     command = SERVO_COMMAND.validate_json(payload)
-    op = STOP if command.op == "stop" else _MOVES[command.op][round(command.angle_deg * 100)]
+    angle_deg = 0.0 if command.op == "stop" else command.angle_deg
+    op = _OPS[command.op][round(angle_deg * 100)]
     return Command(((servo_id, op),), source=command.source, sent_ms=command.sent_ms, lease=command.lease)
 
 
 def _read_leg(leg: int, payload: bytes) -> Command:
     command: dict[str, Any] = _LEG_COMMAND.validate_json(payload)
-    return _of_legs(((leg, command),), command)
+    return _of_legs({leg: command["servos"]}, command)
 
 
 def _read_legs(_: int, payload: bytes) -> Command:
     command: dict[str, Any] = _LEGS_COMMAND.validate_json(payload)
-    return _of_legs(sorted(command["legs"].items()), command)
+    return _of_legs({int(leg): of_leg["servos"] for leg, of_leg in sorted(command["legs"].items())}, command)
 
 
 def _read_reset(_: int, payload: bytes) -> Reset:
@@ -59,15 +61,17 @@ def _read_reset(_: int, payload: bytes) -> Reset:
     return Reset(source=command.source, sent_ms=command.sent_ms, lease=command.lease, estop=command.estop)
 
 
-def _of_legs(legs: Iterable[tuple[int | str, dict[str, Any]]], sent: dict[str, Any]) -> Command:
+def _of_legs(setpoints: Mapping[int, Iterable[dict[str, Any]]], sent: dict[str, Any]) -> Command:
     """Return the command for these legs, with angles rounded to hundredths of a degree, as in `centidegrees`."""
-    targets = []
-    for leg, command in legs:
-        for servo_id, setpoint in zip(_IDS_OF_LEG[int(leg)], command["servos"], strict=True):
-            name = setpoint["op"]
-            op = STOP if name == "stop" else _MOVES[name][round(setpoint["angle_deg"] * 100)]
-            targets.append((servo_id, op))
-    return Command(tuple(targets), source=sent["source"], sent_ms=sent["sent_ms"], lease=sent["lease"])
+    by_leg: dict[int, Targets] = {}
+    targets: Targets = ()
+    for leg, of_leg in setpoints.items():
+        ops = [_OPS[each["op"]][round(each.get("angle_deg", 0) * 100)] for each in of_leg]
+        by_leg[leg] = tuple(zip(_IDS_OF_LEG[leg], ops, strict=True))
+        targets += by_leg[leg]
+    command = Command(source=sent["source"], sent_ms=sent["sent_ms"], lease=sent["lease"])
+    command.aim(targets, by_leg)
+    return command
 
 
 # ---- the table
@@ -142,9 +146,11 @@ def read(received: Received) -> Command | Reset | Rejection:
             return Rejection(Reason.INVALID, str(error))
         return Rejection(Reason.INVALID, f"{echo_of(received.expression)} names no command key")
     row = TARGETS[key.target]
-    deletes, is_wildcard = received.verb is _DELETE, received.expression != received.key
-    if row.explicit_only is not None and (deletes or is_wildcard):
-        return Rejection(Reason.INVALID, f"a {'wildcard' if is_wildcard else 'delete'} {row.explicit_only}")
+    deletes = received.verb is _DELETE
+    if row.explicit_only is not None:
+        is_wildcard = received.expression != received.key
+        if deletes or is_wildcard:
+            return Rejection(Reason.INVALID, f"a {'wildcard' if is_wildcard else 'delete'} {row.explicit_only}")
     found = Command(stops_of(key)) if deletes else _decoded(row, key.number, received)
     if type(found) is not Rejection:
         found.key, found.verb, found.reply = received.key, received.verb, received.reply

@@ -229,7 +229,7 @@ class Legs:
         servo.take(op, command)
         return effects
 
-    def usual(self, command: Command, now_ns: int) -> list[Effect] | None:
+    def usual(self, command: Command, now_ns: int) -> list[Transmit] | None:
         """Carry out what most commands ask: running servos go on, within limits and rate slots, and nothing waits.
 
         The effects, and the state after it, are those of `apply` and `plan`, but for `due_ns`, which may be early.
@@ -260,7 +260,7 @@ class Legs:
                     low_cdeg, high_cdeg = free_cdeg[servo_id]
                     if not low_cdeg <= op.angle_cdeg <= high_cdeg:
                         return None
-        effects: list[Effect] = []
+        effects: list[Transmit] = []
         commands, last = (command,), next(reversed(command.by_leg))
         command.left -= len(command.targets)
         for number, targets in command.by_leg.items():

@@ -160,10 +160,10 @@ class Supervisor:
         """
         kind, legs = type(event), self.legs
         # 0. the usual way
-        if type(event) is Command and now_ns < self.usual_ns:
-            usual = self._usual(event, now_ns, now_ns if instant_ns is None else instant_ns)
+        if type(event) is Command:
+            usual = self.usual(event, now_ns, now_ns if instant_ns is None else instant_ns)
             if usual is not None:
-                return usual
+                return list(usual)
         own = self._own.get(kind)
         if kind not in LEGAL[self.mode]:
             raise IllegalEvent(f"{kind.__name__} while {self.mode}")
@@ -225,12 +225,15 @@ class Supervisor:
             return 0
         return NEVER if self.due_ns is None else self.due_ns
 
-    def _usual(self, command: Command, now_ns: int, instant_ns: int) -> list[Effect] | None:
+    def usual(self, command: Command, now_ns: int, instant_ns: int) -> list[Transmit] | None:
         """Take a command that moves running servos, and meets no rule. Return None, and change nothing, if it may.
 
-        What it does, the general way does, too (`unit/robot/test_supervisor_machine.py` compares them).
+        The frames complete the command. Neither the mode, the emergency stop nor `due_ns` changes. The general way does
+        the same (`unit/robot/test_supervisor_machine.py` compares them).
         """
-        if len(command.moves) < len(command.targets) or not command.targets or command.rejected is not None:
+        if now_ns >= self.usual_ns or command.rejected is not None:
+            return None
+        if not command.targets or len(command.moves) < len(command.targets):
             return None
         lease, token, legs = self.lease, command.lease, self.legs
         if (lease.closed or token is not None) and lease.why_not(command) is not None:

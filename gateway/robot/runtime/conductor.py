@@ -99,7 +99,7 @@ class Conductor:
         """The key whose messages are handled after a loss, else ""."""
         self._lost_stops: Targets = ()
         self._staleness = Staleness(settings.limits.max_age_ms) if settings.limits.max_age_ms else None
-        self._timer = OwnersTimer(self.loop, self.owner, self.tick)
+        self._timer = OwnersTimer(self.loop, self.owner, self._wake)
         self._reopen_timer = OwnersTimer(self.loop, self.owner, self._reopen)
         self._preamble_timer = OwnersTimer(self.loop, self.owner, self._write_preamble)
         self._announcing = bus if isinstance(bus, Bus) and bus.announces else None
@@ -151,17 +151,26 @@ class Conductor:
         """
         if self.closed:
             return
-        instant_ns = self._instant()
-        for received in self.messages.take():
-            self._serve_estops(instant_ns)
+        messages, instant_ns, taken = self.messages, self._instant(), False
+        for received in messages.take():
+            if messages.estops:
+                self._serve_estops(instant_ns)
             self._receive(received, instant_ns)
             self._do_what_is_due(instant_ns)  # a full tick takes long enough for a deadline to pass in it
-        self.metrics.passed_over = self.messages.passed_over
-        self._serve_estops(instant_ns)
+            taken = True
+        self.metrics.passed_over = messages.passed_over
+        if messages.estops:
+            self._serve_estops(instant_ns)
         if self._lost_key:
             self._stop_what_lost_stops_named(instant_ns)
-        self._do_what_is_due(instant_ns)
-        self._arm()
+        if not taken:
+            self._do_what_is_due(instant_ns)
+
+    def _wake(self) -> None:
+        """Do what is due. Each step sets the timer; a timer that was early, with nothing to do, is set again."""
+        if not self.closed:
+            self.tick()
+            self._arm()
 
     def serve_estops(self) -> None:
         """Carry out emergency stops without a tick. Messages that wait in the rings belong to a later instant."""
@@ -247,7 +256,8 @@ class Conductor:
             self.reports.publish()
 
     def _do_what_is_due(self, instant_ns: int) -> None:
-        if self._is_due(self.supervisor.due_ns):
+        due_ns = self.supervisor.due_ns
+        if due_ns is not None and self.clock() >= due_ns:
             self._step(TimePassed(), instant_ns)
 
     def _receive(self, received: Received, instant_ns: int) -> None:
@@ -271,12 +281,26 @@ class Conductor:
             command.rejected = Rejected(command, Reason.STALE, too_old)
         command.number = next(self.numbers)
         try:
-            outcome = self._step(command, instant_ns, now_ns, command)
+            outcome = self._usual(command, instant_ns, now_ns) or self._step(command, instant_ns, now_ns, command)
         except Exception:
             self.recorder.step(command, (), ())  # the command that broke the gateway
             raise
         if self._lost_key and not outcome.rejects(command):
             self._lost_stops = not_started(self._lost_stops, command.targets)
+
+    def _usual(self, command: Request, instant_ns: int, now_ns: int) -> Outcome | None:
+        """Carry out a command that meets no rule. Return None, with nothing done, if it may meet one."""
+        if type(command) is not Command:
+            return None
+        effects = self.supervisor.usual(command, now_ns, instant_ns)
+        if effects is None:
+            return None
+        outcome = self.executor.carry_out_usual(effects, command)
+        if outcome.fault is not None or outcome.meddled is not None:
+            self._after_fault(outcome)
+        elif self._announcing is not None:
+            self._arm()  # for the preamble
+        return outcome
 
     def _reject_unread(self, received: Received, why: Rejection, instant_ns: int) -> None:
         """Reject a message that could not be read. Carry out the Stops that it may contain."""
@@ -330,12 +354,15 @@ class Conductor:
         """Let the supervisor take an event, and carry out its effects. `command` is the event's request, to record."""
         now_ns = self.clock() if now_ns is None else now_ns
         outcome = self.executor.carry_out(self.supervisor.step(event, now_ns, instant_ns), command)
+        self._after_fault(outcome)
+        self._settle()
+        return outcome
+
+    def _after_fault(self, outcome: Outcome) -> None:
         if outcome.meddled is not None:
             self._meddled(outcome.meddled, outcome.fault)
         elif outcome.fault is not None:
             self.bus_failed(outcome.fault)
-        self._settle()
-        return outcome
 
     def _settle(self) -> None:
         """Publish a change of the emergency stop (its Stops are written) or of the mode, and set the timer."""
@@ -345,7 +372,8 @@ class Conductor:
             self._engaged = engaged
             reports.estop_since = reports.estop_since or wall_clock() if engaged else None
             self.on_latch()
-        reports.publish_mode()
+        if self.supervisor.mode is not reports.published_mode:
+            reports.publish_mode()
         self._arm()
 
     # ---- the bus
@@ -427,7 +455,8 @@ class Conductor:
         """
         bus = self._announcing
         if bus is None or not (bus.resync_due or self._is_due(self._preamble_ns(bus))):
-            return  # a frame was written meanwhile, with its preamble
+            self._arm()  # a frame was written meanwhile, with its preamble
+            return
         try:
             if bus.write_zeros():
                 self._preamble_timer.set_in(0)

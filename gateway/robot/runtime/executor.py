@@ -27,13 +27,13 @@ from gateway.robot.core.message import Reply
 from gateway.robot.core.rejections import echo_of
 from gateway.robot.runtime.report import RobotReports
 from gateway.robot.runtime.supply import RobotSupply
-from gateway.robot.spi import Wire
+from gateway.robot.spi import BatchReport, Wire
 from gateway.text import legs_named
 from schemas.telemetry import Ack, Cause, Kind, Reason
 
 logger = logging.getLogger(__name__)
 
-_REPEAT, _LEGS_STOPPED = Cause.REPEAT, Kind.LEGS_STOPPED
+_COMMAND, _REPEAT, _LEGS_STOPPED = Cause.COMMAND, Cause.REPEAT, Kind.LEGS_STOPPED
 """Read for each effect; see `frames.OP_STOP`."""
 
 
@@ -81,6 +81,11 @@ class Executor:
     """Calls back once the disk has the emergency stop of this number. None: no disk keeps it."""
     halts: list[Announce] = field(default_factory=list)
     """Events of stopped legs. After a fault they wait for the Stops with which the bus opens again."""
+    _follows: bool = field(init=False)
+    """Whether each written frame concerns others: a power board, or clients to which frames are published."""
+
+    def __post_init__(self) -> None:
+        self._follows = self.supply is not None or self.publish_frames
 
     # ---- the answers
 
@@ -159,9 +164,7 @@ class Executor:
         supply = self.supply
         cuts = [] if supply is None else supply.before_step()
         outcome = self._write(effects)
-        self.reports.recorder.step(command, outcome.written, outcome.results)
-        for result in outcome.results:
-            self._end(*result)
+        self._end_all(outcome, command)
         for effect in effects:
             if type(effect) is not Announce:
                 continue
@@ -184,6 +187,34 @@ class Executor:
             self.reports.announce(each)
         return outcome
 
+    def carry_out_usual(self, moves: Sequence[Transmit], command: Command) -> Outcome:
+        """Do what `carry_out` does with the frames of `Supervisor.usual`: one batch, which completes one command."""
+        if self._follows or self.halts:
+            return self.carry_out(moves, command)
+        report = self.bus.write([each.frame for each in moves])
+        sent = report.sent
+        if len(sent) < len(moves) or report.rejection is not None:
+            outcome = Outcome(moves)
+            self._record(moves, report, outcome)
+            self._judge(outcome)
+            self._end_all(outcome, command)
+            return outcome
+        metrics = self.reports.metrics
+        metrics.frames[_COMMAND] += len(moves)
+        metrics.accepted += 1
+        command.written += tuple(command.by_leg)
+        outcome = Outcome(moves, list(zip(moves, sent, strict=True)), None, (), None, [(command, ACCEPTED, "")])
+        self.reports.recorder.step(command, outcome.written, outcome.results)
+        if command.reply is not None:
+            self.answer(command, Ack(accepted=True))
+        return outcome
+
+    def _end_all(self, outcome: Outcome, command: Request | None) -> None:
+        """Record a step, and end its requests."""
+        self.reports.recorder.step(command, outcome.written, outcome.results)
+        for result in outcome.results:
+            self._end(*result)
+
     def _write(self, effects: Sequence[Effect]) -> Outcome:
         """Write a step's frames in three batches: first Stops, repeated Stops, moves. Stop at the first fault.
 
@@ -199,28 +230,35 @@ class Executor:
                 stops = repeated if effect.cause is _REPEAT and not effect.joins else first
                 (stops if effect.frame.is_stop else moves).append(effect)
         for batch in first, repeated, moves:
-            if not batch or outcome.fault is not None:
-                continue
-            report = self.bus.write([transmit.frame for transmit in batch], preamble=batch is repeated)
-            for sent in report.sent:
-                transmit = batch[sent.place]
-                outcome.written += [(transmit, sent)]
-                self.reports.metrics.frames[transmit.cause] += 1
-                for command in transmit.commands:
-                    command.written += (transmit.frame.leg,)
-                if transmit.deadline_ns is not None and sent.received:
-                    self.reports.metrics.watchdog_stops.record(sent.ns - transmit.deadline_ns)
-            if report.rejection is not None:
-                logger.warning("%s; from now on, each transfer is a separate call", report.rejection)
-            outcome.meddled = report.meddled or outcome.meddled
-            outcome.fault = report.fault
+            if batch and outcome.fault is None:
+                report = self.bus.write([transmit.frame for transmit in batch], preamble=batch is repeated)
+                self._record(batch, report, outcome)
+        self._judge(outcome)
+        return outcome
+
+    def _record(self, batch: Sequence[Transmit], report: BatchReport, outcome: Outcome) -> None:
+        """Count the frames that were written, and add the batch's report to the outcome."""
+        for sent in report.sent:
+            transmit = batch[sent.place]
+            outcome.written += [(transmit, sent)]
+            self.reports.metrics.frames[transmit.cause] += 1
+            for command in transmit.commands:
+                command.written += (transmit.frame.leg,)
+            if transmit.deadline_ns is not None and sent.received:
+                self.reports.metrics.watchdog_stops.record(sent.ns - transmit.deadline_ns)
+        if report.rejection is not None:
+            logger.warning("%s; from now on, each transfer is a separate call", report.rejection)
+        outcome.meddled = report.meddled or outcome.meddled
+        outcome.fault = report.fault
+
+    def _judge(self, outcome: Outcome) -> None:
+        """Find the requests that the step has ended. A fault rejects the commands whose frames were not received."""
         failed: list[Transmit] = []
-        if outcome.fault is not None:  # it rejects the commands whose frames were not received
+        if outcome.fault is not None:
             received = {id(transmit) for transmit, sent in outcome.written if sent.received}
-            failed = [each for each in effects if type(each) is Transmit and id(each) not in received]
+            failed = [each for each in outcome.effects if type(each) is Transmit and id(each) not in received]
             outcome.unwritten = [each.frame.leg for each in failed]
         why = f"the frame could not be written: {outcome.fault}" if failed else ""
-        outcome.results = results(effects, failed, why)
+        outcome.results = results(outcome.effects, failed, why)
         for request, _, _ in outcome.results if failed else ():
             request.stopped = ()
-        return outcome

@@ -103,8 +103,9 @@ class Bus(Wire):
         frame_ns = byte_ns * ONE_LEG_LEN + (byte_ns + gap_ns if self.announces else 0)
         self._most_moves = (LONGEST_NS + gap_ns) // (frame_ns + gap_ns)
         self._device: SpiDevice | None = None
-        self._most = self._stops_at_once = 1  # mutants accepted (Forget, Step): opening sets them
-        """The most transfers of a call, and the most Stops."""
+        # mutants accepted (Forget, Step): opening sets them
+        self._most = self._stops_at_once = self._moves_at_once = 1
+        """The most transfers of a call, the most Stops, and the most frames that move."""
         self._lists = True  # until the kernel rejects one
         self._awaited = ANYTHING if self.announces else NOTHING
         # mutants accepted (FalseWithTrue, Forget): opening sets it
@@ -127,6 +128,7 @@ class Bus(Wire):
             raise
         self._most = self._device.most_transfers
         self._stops_at_once = max(1, self._most // self._size)
+        self._moves_at_once = max(1, min(self._stops_at_once, self._most_moves))
 
     # mutants accepted (Step): all stop, or none; nobody gives 1
     def write(self, frames: Sequence[Frame], *, preamble: bool = False) -> BatchReport:
@@ -145,24 +147,33 @@ class Bus(Wire):
             if report.meddled is not None and not stops:
                 report.fault = SpiError(report.meddled)
                 return report
-        one_by_one = stops and self._slow
+        if stops:
+            self._write_stops(frames, report, now_ns, preamble=preamble)
+        else:
+            try:
+                self._write_batches(frames, report, now_ns, stops=False, preamble=preamble)
+            except SpiError as fault:
+                report.fault = fault
+        if report.fault is not None:
+            self.errors += 1
+        return report
+
+    def _write_stops(self, frames: Sequence[Frame], report: BatchReport, now_ns: int, *, preamble: bool) -> None:
+        one_by_one = self._slow
         try:
             if one_by_one:
                 self._insist(frames, report)
                 if report.fault is None:
                     self._write_preamble(report)
             else:
-                self._write_batches(frames, report, now_ns, stops=stops, preamble=preamble)
+                self._write_batches(frames, report, now_ns, stops=True, preamble=preamble)
         except SpiError as fault:
             report.fault = report.fault or fault
-            if stops and not one_by_one:
+            if not one_by_one:
                 self._insist(frames, report)
-        if report.fault is not None:
-            self.errors += 1
-        elif stops and (self._slow or self._received):
+        if report.fault is None and (self._slow or self._received):
             self._slow = False
             self._received.clear()
-        return report
 
     # mutants accepted (Step): fewer zeros than none are none
     def _write_batches(
@@ -174,7 +185,10 @@ class Bus(Wire):
             if not stops or zeros + self._size * len(frames) > self._most:
                 self._write_preamble(report)
                 zeros = 0
-        at_once = self._stops_at_once if stops else max(1, min(self._stops_at_once, self._most_moves))
+        at_once = self._stops_at_once if stops else self._moves_at_once
+        if len(frames) <= at_once:
+            self._call(report, zeros, frames)
+            return
         for first in range(0, len(frames), at_once):
             self._call(report, zeros, frames[first : first + at_once], first)
             zeros = 0
@@ -236,12 +250,30 @@ class Bus(Wire):
         batch = [self._zero] * zeros
         for frame in frames:
             if self.announces:
-                batch += [(frame.data[:1], self._gap_us)]
-            batch += [(frame.data, self._gap_us)]
+                batch.append((frame.data[:1], self._gap_us))
+            batch.append((frame.data, self._gap_us))
         check(batch, self._avoid_cdeg, announces=self.announces)
         zeros_before = self._zeros + zeros
-        self._zeros = 0 if frames else self._zeros  # failed zeros are not counted; if they arrived, more do no harm
-        self._failures += 1
+        if frames:
+            self._zeros = 0  # failed zeros are not counted; if they arrived, more do no harm
+        took_ns = self._transfer(batch, report, zeros_only=not frames)
+        received = True
+        if self._awaited != NOTHING:
+            received = max(self._awaited) <= zeros
+            self._awaited = after(self._awaited, b"".join(each for each, _ in batch))
+        self._failures = 0
+        if zeros:
+            self._zeros_failed = 0
+            if zeros_before >= PREAMBLE_ZEROS:
+                self._synchronised_ns, self._suspect = self._ended_ns, False
+            if not frames:
+                self._zeros = zeros_before
+        for place, _ in enumerate(frames, first):
+            report.sent.append(Sent(place, self._ended_ns, took_ns, received))
+        self.frames += len(frames)
+
+    def _transfer(self, batch: Batch, report: BatchReport, *, zeros_only: bool) -> int:
+        """Write a checked batch. Return how long that took (ns). Raises SpiError."""
         write = self._device.transfer if self._lists and self._device is not None else self._write_singly
         begun_ns = self._clock()
         try:
@@ -253,28 +285,16 @@ class Bus(Wire):
                 self._write_singly(batch)
                 self._lists, report.rejection = False, str(rejection)
         except SpiError:
-            self._failed(batch, self._clock() - begun_ns, zeros_only=not frames)
+            self._failed(batch, self._clock() - begun_ns, zeros_only=zeros_only)
             raise
         finally:
-            ended_ns = self._ended_ns = self._clock()
-            took_ns = ended_ns - begun_ns
+            self._ended_ns = self._clock()
+            took_ns = self._ended_ns - begun_ns
             self.transfer_latency.record(took_ns)
         if took_ns >= STALLED_NS:
             self._failed(batch, took_ns, zeros_only=False)
             raise SpiError(f"the SPI device took {took_ns / 1e9:.1f} s for a call of milliseconds")
-        received = True
-        if self._awaited != NOTHING:
-            received = max(self._awaited) <= zeros
-            self._awaited = after(self._awaited, b"".join(each for each, _ in batch))
-        self._failures = 0
-        if zeros:
-            self._zeros_failed = 0
-            if zeros_before >= PREAMBLE_ZEROS:
-                self._synchronised_ns, self._suspect = ended_ns, False
-        if not frames:
-            self._zeros = zeros_before
-        report.sent += [Sent(first + place, ended_ns, took_ns, received) for place in range(len(frames))]
-        self.frames += len(frames)
+        return took_ns
 
     def _write_singly(self, batch: Batch) -> None:
         """Write a batch in one call for each transfer, for a kernel that takes no lists, and sleep the pauses.
@@ -295,6 +315,7 @@ class Bus(Wire):
 
     def _failed(self, batch: Batch, took_ns: int, *, zeros_only: bool) -> None:
         """Record a failed call, of which any part may have been written."""
+        self._failures += 1
         self._slow = self._slow or took_ns >= SLOW_NS
         self._zeros_failed += zeros_only
         if self.announces:

@@ -2,8 +2,13 @@
 
 import asyncio
 import logging
+import random
+from contextlib import nullcontext
+from dataclasses import replace
+from functools import partial
 from itertools import groupby, permutations
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -278,3 +283,81 @@ async def test_a_device_that_takes_no_lists_is_logged_once(caplog: pytest.LogCap
     for _ in range(2):
         assert robot.ask(keys.ESTOP).stop_frames == 6
     assert caplog.messages.count("no lists; from now on, each transfer is a separate call") == 1
+
+
+# ---- The usual way of a setpoint does what the general way does
+
+
+def _newest(found: list[str]) -> str | None:
+    return found.pop() if found else None
+
+
+class General(Robot):
+    """A robot whose setpoints all go the general way."""
+
+    def _beat(self) -> None:
+        self.conductor.supervisor._has_usual = False
+        super()._beat()
+
+
+@pytest.mark.parametrize("framing", list(Framing))
+@pytest.mark.parametrize("frames", [True, False])
+@pytest.mark.parametrize("seed", range(2))
+async def test_a_setpoint_is_carried_out_alike_in_the_usual_and_in_the_general_way(
+    framing: Framing, frames: bool, seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Transfers, records, reports, answers and counters are equal, with failed calls and other programs' settings."""
+    sections: dict[str, dict[str, Any]] = {
+        "spi": {"framing": framing},
+        "telemetry": {"frames": frames},
+        "watchdog": {"timeout_ms": 2000},
+    }
+    robots = [make({**sections, "state": {"path": str(tmp_path / make.__name__)}}) for make in (Robot, General)]
+    found: list[list[str]] = [[], []]
+    for robot, meddling in zip(robots, found, strict=True):
+        (tmp_path / type(robot).__name__).mkdir()
+        monkeypatch.setattr(robot.controller, "put_right", partial(_newest, meddling))
+        robot.conductor.start()
+        robot.conductor.recorder.open(nullcontext())
+    await asyncio.sleep(2)
+    answers: tuple[list[bytes], list[bytes]] = ([], [])
+    chance, usual = random.Random(seed), 0  # noqa: S311  (order, no secrets)
+    for turn in range(200):
+        await asyncio.sleep(chance.choice((0.005, 0.02, 0.02, 0.2)))
+        what, angle_deg = chance.random(), 40 + chance.randrange(8000) / 100
+        names = {"source": "anna"} if chance.random() < 0.98 else {}
+        setpoint = leg("start" if what < 0.3 else "set", *[angle_deg] * 3)
+        if what > 0.98:
+            setpoint = leg("stop")
+        number = chance.randint(0, 6)
+        key = keys.leg_command(number) if number else keys.LEGS_COMMAND
+        payload = {**(setpoint if number else {"legs": {str(each): setpoint for each in LEGS}}), **names}
+        fault, acknowledged = chance.random(), chance.random() < 0.2
+        for robot, meddling, answered in zip(robots, found, answers, strict=True):
+            if fault < 0.02:
+                robot.controller.fail_next(1)
+            elif fault < 0.03:
+                meddling.append("mode 3")
+            elif turn == 100:
+                robot.take_no_lists()
+            usual += robot.now_ns() < robot.conductor.supervisor.usual_ns
+            robot._instants += 1
+            if acknowledged:
+                robot.ask_later(key, payload)
+                robot._waiting[-1] = replace(robot._waiting[-1], reply=answered.append)
+            else:
+                robot.put_later(key, payload)
+            robot.conductor.tick()
+    assert robots[0].controller.transfers == robots[1].controller.transfers
+    assert robots[0].conductor.metrics == robots[1].conductor.metrics
+    assert usual > 50, "most setpoints went the usual way"
+    assert answers[0] == answers[1] != []
+    reports = [[(key, each.model_dump(exclude={"time"})) for key, each in robot.reports] for robot in robots]
+    assert reports[0] == reports[1]
+    for robot in robots:
+        robot.conductor.recorder.close()
+    records = [
+        [(each.ns, each.content) for each in rec.read(tmp_path / make.__name__ / RING_FILE)]
+        for make in (Robot, General)
+    ]
+    assert records[0] == records[1]
