@@ -12,7 +12,7 @@ with questions has its own thread, which waits for a wakeup (`questions.WokenRin
 import asyncio
 import logging
 import time
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import suppress
 from functools import partial
@@ -40,8 +40,6 @@ READER_DEPTH: Final = 32  # mutants accepted (Step): none is the only right one
 """Queries on another key that wait to be read. A query that is pushed out gets no answer, and its sender notices."""
 POLL_AFTER_FLOOD: Final = 2  # mutants accepted (Step): none is the only right one
 """The first of these delays after lost wakeups: longer than a flood's next tick, which polls anyway."""
-_EARLY_S: Final = sum(POLL_AGAIN_S)
-"""How long a wakeup is expected after its message was taken."""
 
 FLOOD_PAUSE_S: Final = 0.001
 """Pause of a wakeup after a tick that found it full. Without the pause, ticks take the processor from Zenoh's receiving
@@ -91,10 +89,6 @@ class Inbox:
         self._others: deque[Received] = deque()
         self._woken: dict[str, int] = {}
         """Wakeups for each key since the last tick."""
-        self._owed: dict[str, int] = {}
-        """Earlier wakeups for each key whose messages have not been taken; below 0: messages taken before theirs."""
-        self._early_until_s = 0.0
-        self._lost_some = False  # wakeups were lost, so all keys are polled again
         self._read_all = False
         self._poll_again = OwnersTimer(loop, owner, self._poll_now)
         self._attempt = 0
@@ -174,7 +168,8 @@ class Inbox:
                 yield received
         while self._others:
             yield self._others.popleft()
-        self._compare(taken)
+        if self._woken or self._read_all:
+            self._look_for_missed(taken)
         if self._rings.instant_open:
             self._closing.set_in(FLOOD_PAUSE_S)  # to close the instant, if no further message does
 
@@ -268,38 +263,27 @@ class Inbox:
             # Releasing the last reference sends the end, which may block.
             (self._estop_replies if key == ESTOP else self._replies).do(item.drop)
 
-    def _compare(self, taken: dict[str, int]) -> None:  # mutants accepted (Gt_GtE, LtE_Lt): equal times
-        """Poll again if there were more wakeups than messages: a message has not reached its ring yet.
+    def _look_for_missed(self, taken: Mapping[str, int]) -> None:
+        """Poll all rings a few times more if wakeups were lost, or a key had more wakeups than messages.
 
-        Wakeups are counted for each key, since another message of the key may have been taken instead.
+        A message may reach its ring after its wakeup. One that was taken before its wakeup costs these polls, too.
         """
-        woken, self._woken, before = self._woken, {}, self._owed
+        woken, self._woken = self._woken, {}
         if self._read_all:
-            self._read_all, self._owed, self._lost_some = False, {}, True
+            self._read_all = False
             self._poll_later(POLL_AFTER_FLOOD)
-        elif taken != woken or before:
-            now_s, owed = self._loop.time(), Counter(before)
-            owed.update(woken)
-            owed.subtract(taken)
-            if all(count > 0 for count in before.values()):
-                self._early_until_s = now_s + _EARLY_S
-            # A surplus expires: otherwise a message counted twice would hide a later one forever.
-            early = now_s <= self._early_until_s
-            self._owed = {key: count for key, count in owed.items() if count > 0 or (count < 0 and early)}
-            if any(count > max(0, before.get(key, 0)) for key, count in owed.items()):
-                self._poll_later(0)
+        elif any(count > taken.get(key, 0) for key, count in woken.items()):
+            self._poll_later(0)
 
-    def _poll_later(self, attempt: int) -> None:  # mutants accepted (Forget): only time is lost
-        self._poll_again.cancel()
-        if attempt == len(POLL_AGAIN_S):
-            self._owed, self._lost_some = {}, False  # the message was pushed out, or taken before its wakeup
-        elif self._lost_some or any(count > 0 for count in self._owed.values()):
-            self._attempt = attempt
+    def _poll_later(self, attempt: int) -> None:
+        self._attempt = attempt
+        if attempt < len(POLL_AGAIN_S):
+            self._poll_again.cancel()
             self._poll_again.set_in(POLL_AGAIN_S[attempt])
 
     def _poll_now(self) -> None:
         attempt = self._attempt + 1
-        self._wake()
+        self._wake()  # without a wakeup, all rings are read
         self._poll_later(attempt)
 
 
