@@ -64,7 +64,7 @@ class Oracle(RobotHistory):
         kept = self.calibration.kept(event, effects, self.alive) if isinstance(event, CalibrationSaved) else None
         judge_results(effects)
         effects = self.calibration.read(effects)
-        self._lost = self.late = frozenset()
+        self._lost = frozenset()
         halted, lived = announced(effects, {Kind.LEGS_STOPPED}), self.alive
         rejected = {each for effect in effects if isinstance(effect, Rejected) for each in effect.request.servo_ids}
         stops_end = lived - (rejected - self.energised)  # a start may end with its command, before a Stop
@@ -139,7 +139,7 @@ class Oracle(RobotHistory):
         demand(holder == self.lease.holder, f"{self.lease.holder} holds the lease, not {holder}")
         demand(alive == self.buttons.alive, f"{self.buttons.alive} are alive, not {alive}")
         self._after(now_ns, after.due_ns, ran=ran)
-        judge_halts(effects, halted, stops_end - self.late, lived - self.alive)
+        judge_halts(effects, halted, stops_end, lived - self.alive)
 
     def _all_stopped(self, effects: Sequence[Effect], cause: Cause, reason: Reason, now_ns: int) -> None:
         frames = [(effect.frame, effect.cause) for effect in effects if isinstance(effect, Transmit)]

@@ -104,8 +104,6 @@ class RobotHistory:
 
     _lost: frozenset[int] = frozenset()
     """Commands of which the watchdog dropped something in this step."""
-    late: frozenset[int] = frozenset()
-    """Servos whose waiting start was rejected in this step, before what came then: a Stop finds them off."""
 
     def __init__(
         self,
@@ -451,9 +449,7 @@ class RobotHistory:
             if isinstance(verdict, bool):
                 del self.backlog.waiting_ns[servo_id]
                 backlogs |= {servo.want.number} if servo.want is not None and not verdict else set()
-        waited = self.alive
         self._lose(backlogs)
-        self.late = waited - self.alive
 
     # ---- starts one after the other
 

@@ -110,11 +110,10 @@ class Legs:
             held = any(self.gates.supply.holds(each) and not self.gates.burst.holds(each) for each in leg.servos)
             if not held or leg.unfed_ns is None:
                 leg.unfed_ns = now_ns if held else None
-        due_ns, slot_ns = NEVER, leg.slots.next_ns
+        deadline_ns, slot_ns = leg.deadline_ns(self._rules.timeout_ns), leg.slots.next_ns
         if self.landing_ends_ns is not None and runs:
-            due_ns, slot_ns = self.landing_ends_ns, max(slot_ns, self.landing_from_ns)
-        elif leg.commanded_ns is not None and (runs or leg.unfed_ns is None):
-            due_ns = leg.commanded_ns + self._rules.timeout_ns
+            deadline_ns, slot_ns = self.landing_ends_ns, max(slot_ns, self.landing_from_ns)
+        due_ns = NEVER if deadline_ns is None else deadline_ns
         if leg.unfed_ns is not None:
             due_ns = min(due_ns, leg.unfed_ns + self._rules.feed_ns)
         for servo in leg.servos:
