@@ -2,7 +2,8 @@
 
 Both write to a device that answers at once (instant_spidev.c). Within a second a machine changes its pace, and with it
 all figures; the ratio of two slices that follow each other stays. Processor time is that of all threads (schedstat).
-An earlier release, in a folder with its source, may run as a third.
+An earlier release, in a folder with its source, may run as a third. If `make .venv/rclpy` has installed rclpy, a bare
+node of ROS 2 runs, too (`rclpy_pair.py`).
 
 python -m tests.benchmarks [--quick] [--release FOLDER]
 """
@@ -33,14 +34,17 @@ from gateway.zenoh_config import client_config
 from schemas.keys import LEGS_COMMAND, leg_command
 from schemas.robot import LEGS
 from tests.benchmarks.processes import cpu_ns, never_delay, say
+from tests.support.bridged import clean
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, READY, free_port, write_settings
+from tests.support.rclpy_peer import DOMAIN, ENV, PYTHON, ROOT
 
-NAIVE, GATEWAY, RELEASE = "naive", "gateway", "release"
+NAIVE, GATEWAY, RELEASE, RCLPY = "naive", "gateway", "release", "rclpy"
 SLICES, SLICE_S, HZ = 8, 1.0, 50
 SENDER: Final = {"source": "publisher"}
 TIMEOUT_MS, IDLE_S = 10_000, 5.0
 _SOURCE: Final = Path(__file__).with_name("instant_spidev.c")
+_PAIR: Final = "tests.benchmarks.rclpy_pair"
 _NOTES_AT, _NOTE = 4096, struct.Struct("<QB15s8x")
 _LEAST_CDEG, _ANGLES = 4_00, 176_00
 """A message's number is the angle of joint 1 in hundredths; `length-prefixed` sends none of 1 to 4 degrees."""
@@ -54,10 +58,11 @@ class Stream:
     framing: Framing = Framing.PLAIN
     cpu_aim: float | None = None
     p50_aim: float | None = None
+    rclpy_aim: float | None = None
 
 
 STREAMS: Final = (
-    Stream("six legs, a message each", cpu_aim=2.2, p50_aim=1.5),
+    Stream("six legs, a message each", cpu_aim=2.2, p50_aim=1.5, rclpy_aim=1.0),
     Stream("legs/cmd", whole=True, cpu_aim=2.7, p50_aim=1.4),
     Stream("six legs, length-prefixed", framing=Framing.LENGTH_PREFIXED),
 )
@@ -176,6 +181,34 @@ class Runner:
             yield at_ns, data[:length]
 
 
+class RclpyRunner:
+    """A bare node of rclpy and its publisher. Only what the node costs is measured."""
+
+    name: Final = RCLPY
+
+    def __init__(self, folder: Path, stack: ExitStack) -> None:
+        self.figures = Figures()
+        env = {**clean(), **ENV, "PYTHONPATH": str(ROOT)}
+        preload = {"LD_PRELOAD": str(folder.parent / "instant_spidev.so"), "NOTES": str(folder / "notes")}
+        node, self._publisher = (
+            stack.enter_context(Child(["env", PYTHON, "-m", _PAIR, role, str(DOMAIN), str(HZ)], {**env, **more}))
+            for role, more in (("node", preload), ("publisher", {}))
+        )
+        node.wait_for_output("ready", timeout_s=30)
+        self._publisher.wait_for_output("ready", timeout_s=30)
+        self._pid = node.pid
+
+    def slice(self, seconds: float, *, counts: bool) -> None:
+        """Publish for that long, and note what it cost."""
+        begun_ns, begun_cpu_ns = time.monotonic_ns(), cpu_ns(self._pid)
+        self._publisher.ask(str(seconds), 10 * seconds)
+        time.sleep(0.05)
+        took_ns, used_ns = time.monotonic_ns() - begun_ns, cpu_ns(self._pid) - begun_cpu_ns
+        if counts:
+            self.figures.cpu_us.append(used_ns / 1000 / round(seconds * HZ * len(LEGS)))
+            self.figures.core.append(100 * used_ns / took_ns)
+
+
 def _leg(op: str, cdeg: int) -> dict[str, Any]:
     """A leg's setpoint that carries a number in joint 1's angle."""
     return {"servos": [{"op": op, "angle_deg": each} for each in (cdeg / 100, 90, 90)]}
@@ -194,19 +227,28 @@ def duel(folder: Path, *, short: bool, release: Path | None) -> list[Row]:
 
 def _compared(stream: Stream, folder: Path, release: Path | None) -> list[Row]:
     with ExitStack() as stack:
-        runners = []
+        runners: list[Runner] = []
         for name in (NAIVE, GATEWAY, RELEASE) if release else (NAIVE, GATEWAY):
             own = folder / name
             shutil.rmtree(own, ignore_errors=True)
             own.mkdir()
             runners.append(Runner(name, stream, own, stack, release))
+        all_of: list[Runner | RclpyRunner] = [*runners]
+        if stream.rclpy_aim and Path(PYTHON).exists():
+            all_of.append(_rclpy(folder, stack))
         for number in range(SLICES + 1):  # the first counts for nothing: what is slow only once
             say(f"{stream.name}: slice {number} of {SLICES}")
-            for runner in random.sample(runners, len(runners)):
+            for runner in random.sample(all_of, len(all_of)):
                 runner.slice(SLICE_S, counts=number > 0)
         idle = _idle(*runners[:2]) if stream.cpu_aim and not stream.whole else []
-    found = {runner.name: runner.figures for runner in runners}
-    return [*_rows(stream, found), *_rows_of_release(stream, found), *idle]
+    found = {runner.name: runner.figures for runner in all_of}
+    return [*_rows(stream, found), *_rows_of_rclpy(stream, found), *_rows_of_release(stream, found), *idle]
+
+
+def _rclpy(folder: Path, stack: ExitStack) -> RclpyRunner:
+    own = folder / RCLPY
+    own.mkdir()
+    return RclpyRunner(own, stack)
 
 
 def _idle(naive: Runner, ours: Runner) -> list[Row]:
@@ -241,6 +283,19 @@ def _rows(stream: Stream, found: dict[str, Figures]) -> Iterator[Row]:
         times,
         stream.p50_aim,
     )
+
+
+def _rows_of_rclpy(stream: Stream, found: dict[str, Figures]) -> Iterator[Row]:
+    if RCLPY in found:
+        ours, node = found[GATEWAY], found[RCLPY]
+        ratios = [our / their for our, their in zip(ours.cpu_us, node.cpu_us, strict=True)]
+        yield row(
+            f"{stream.name}: against a bare node of rclpy: processor time a message",
+            f"{median(ours.cpu_us):.0f} µs, {median(ratios):.2f}× ({min(ratios):.2f} to {max(ratios):.2f})",
+            f"(the node: {median(node.cpu_us):.0f} µs; {median(node.core):.1f} %)",
+            median(ratios),
+            stream.rclpy_aim,
+        )
 
 
 def _rows_of_release(stream: Stream, found: dict[str, Figures]) -> Iterator[Row]:

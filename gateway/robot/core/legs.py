@@ -261,7 +261,7 @@ class Legs:
                         return None
         effects: list[Transmit] = []
         commands, last = (command,), next(reversed(command.by_leg))
-        command.left -= len(command.targets)
+        command.left = 0
         for number, targets in command.by_leg.items():
             leg = self.by_number[number]
             leg.commanded_ns = now_ns

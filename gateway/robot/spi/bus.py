@@ -151,7 +151,10 @@ class Bus(Wire):
             self._write_stops(frames, report, now_ns, preamble=preamble)
         else:
             try:
-                self._write_batches(frames, report, now_ns, stops=False, preamble=preamble)
+                if self.announces or len(frames) > self._moves_at_once:
+                    self._write_batches(frames, report, now_ns, stops=False, preamble=preamble)
+                else:
+                    self._call(report, 0, frames)
             except SpiError as fault:
                 report.fault = fault
         if report.fault is not None:
@@ -186,9 +189,6 @@ class Bus(Wire):
                 self._write_preamble(report)
                 zeros = 0
         at_once = self._stops_at_once if stops else self._moves_at_once
-        if len(frames) <= at_once:
-            self._call(report, zeros, frames)
-            return
         for first in range(0, len(frames), at_once):
             self._call(report, zeros, frames[first : first + at_once], first)
             zeros = 0

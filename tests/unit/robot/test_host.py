@@ -160,8 +160,8 @@ def bytecodes(do: Callable[[], object]) -> tuple[int, int]:
     ("key", "payload", "most", "most_distinct"),
     [
         pytest.param(keys.ESTOP, {}, 10800, 3520, id="an emergency stop while all legs run"),
-        pytest.param(keys.leg_command(3), leg("set", 91, 45, 120), 1770, 1470, id="a leg's setpoint"),
-        pytest.param(keys.LEGS_COMMAND, _ALL, 4900, 1450, id="a setpoint of all legs"),
+        pytest.param(keys.leg_command(3), leg("set", 91, 45, 120), 1745, 1440, id="a leg's setpoint"),
+        pytest.param(keys.LEGS_COMMAND, _ALL, 4850, 1420, id="a setpoint of all legs"),
     ],
 )
 async def test_a_tick_of_a_stream_has_so_few_bytecodes(
