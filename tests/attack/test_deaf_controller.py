@@ -9,6 +9,7 @@ from collections.abc import Iterator
 import pytest
 
 from tests.deaf.faults import Watcher, lose_bytes, lose_transfers, recorded
+from tests.deaf.flips import one_bit, one_more, outcomes, runs, two_bits_of_a_byte
 from tests.deaf.minute import minute, stopped_walk
 from tests.support.robot import MS
 
@@ -68,3 +69,16 @@ async def test_no_bytes_lost_inside_stops_leave_a_servo_on(run: int) -> None:
     found = lose_bytes(log, run=run, since_ns=STOP_MS * MS)
     assert len(found) > 800
     check_alive(found)
+
+
+@pytest.mark.nightly
+async def test_a_fault_in_the_last_run_starts_a_servo_by_a_stops_operation_alone() -> None:
+    """Stop (2) becomes Start (1) by two bits, or by a 1 before it; of each fault in the run before, nothing is left."""
+    log = await recorded(stopped_walk(STOP_MS), STOP_MS + REST_MS)
+    (before_ns, before), (last_ns, last) = runs(log)[-2:]
+    assert "on" not in str(outcomes(one_bit(last)))
+    for faults in (two_bits_of_a_byte, one_more):
+        found = outcomes(faults(last))
+        assert found["on"] == 18
+        assert not found["dead and on"]
+        assert "on" not in str(outcomes(faults(before), [(last_ns - before_ns, last)]))
