@@ -27,6 +27,8 @@ PROCESSORS: Final = {"amd64": "x86_64", "arm64": "aarch64"}
 LIBC: Final = "manylinux_2_34"
 """Debian 12 has 2.36; this is the newest before it for which wheels are built."""
 DEPLOY: Final = ROOT / "deploy"
+CONFFILE: Final = "etc/needrestart/conf.d/hexapod-gateway.conf"
+"""dpkg keeps what a person has changed in it."""
 SCRIPTS: Final = ("preinst", "postinst", "prerm", "postrm")
 _OF_AN_INSTALLATION: Final = {"RECORD", "INSTALLER", "REQUESTED", "WHEEL", "direct_url.json", "sboms"}
 """Written by who installs a wheel, or different for each Python."""
@@ -85,8 +87,9 @@ def deb(to: Path, wheel: Path, packages: Path, released: str, when: int, archite
         control.mkdir()
         for name in ("control", "triggers", *SCRIPTS):
             _write(DEPLOY / "debian" / name, control / name, given)
-        sums = (f"{_md5(each)}  {each.relative_to(root)}\n" for each in sorted(files))
+        sums = (f"{_md5(each)}  {each.relative_to(root)}\n" for each in sorted(files) if each != root / CONFFILE)
         (control / "md5sums").write_text("".join(sums))
+        (control / "conffiles").write_text(f"/{CONFFILE}\n")
         for each in (root, *root.rglob("*")):
             if not each.is_symlink():
                 each.chmod(0o755 if each.is_dir() or each.name in {"hexapod-gateway", *SCRIPTS} else 0o644)
@@ -105,7 +108,8 @@ def _fill(root: Path, full: str, wheel: Path, packages: Path) -> None:
         for name in packed.namelist():
             if not _is_left_out(Path(name)):
                 _add(packed.read(name), payload / name)
-    for unit in ("hexapod-gateway.service", "hexapod-console.service", "hexapod-console.socket"):
+    units = ("hexapod-gateway.service", "hexapod-thaw.service", "hexapod-console.service", "hexapod-console.socket")
+    for unit in units:
         _write(DEPLOY / "systemd" / unit, payload / "units" / unit, {})
     share = root / "usr/share/hexapod-gateway"
     for name, place in {
@@ -113,6 +117,7 @@ def _fill(root: Path, full: str, wheel: Path, packages: Path) -> None:
         "debian/hexapod-gateway": payload / "hexapod-gateway",
         "debian/__main__.py": payload / "__main__.py",
         "debian/sysusers.conf": root / "usr/lib/sysusers.d/hexapod-gateway.conf",
+        "debian/needrestart.conf": root / CONFFILE,
         "udev/60-hexapod-gateway.rules": root / "usr/lib/udev/rules.d/60-hexapod-gateway.rules",
         "gateway.toml": share / "gateway.toml",
         "systemd/console.conf": share / "console.conf",

@@ -44,12 +44,12 @@ def status() -> str:
 def compare() -> Whole:
     """Compare every file of the package with dpkg's list; takes 1 to 2 s."""
     listed = set(_dpkg("dpkg-query", "--listfiles").splitlines())
-    verified = _dpkg("dpkg", "--verify").splitlines()
+    verified = [line.split(None, 1)[1] for line in _dpkg("dpkg", "--verify").splitlines() if line]
     release = CURRENT.resolve()
     is_this = str(release).removesuffix(".kept") in listed  # not the previous one
     there = [path for path in _files(release) if is_this and str(path).replace(".kept/", "/", 1) not in listed]
     return Whole(
-        changed=tuple(line.split(None, 1)[1] for line in verified if line),
+        changed=tuple(path for path in verified if not path.startswith("c ")),  # a configuration file is its owner's
         added=tuple(sorted(str(path) for path in there if path.suffix in _LOADED)),
         closed=tuple(str(path) for path in _files(release) if not _is_open(path.lstat())),
     )

@@ -14,6 +14,15 @@ from tests.box.package import BROKEN, LATE, LIBRARY, UNIT_FILE, Packages, Robot,
 
 pytestmark = pytest.mark.systemd
 
+PERL = ("libintl", "libmodule-find", "libproc-processtable", "libsort-naturally", "libterm-readkey")
+REPLACE = """
+library=$(grep -om1 '/usr/lib/x86_64-linux-gnu/libz[.]so.*' /proc/$1/maps)
+cp $library $library.new
+mv $library.new $library
+needrestart -l -r a
+"""
+"""Upgrade a library that process $1 has loaded, as dpkg does, and let needrestart restart what it may."""
+THAW_UNIT = UNIT_FILE.replace("gateway", "thaw")
 RECONFIGURE = f"sudo dpkg-reconfigure {NAME}"
 CONFIGURE = "sudo dpkg --configure -a"
 
@@ -50,13 +59,26 @@ def test_an_installation_that_is_not_set_up_stays_stopped(tmp_path: Path, packag
         assert box.run("find", LIBRARY, "!", "-user", "root").stdout == ""
         assert "hexapod-gateway 1." in box.run(NAME, "--version").stdout
         assert dpkg(box, "dpkg", "--verify", NAME) == ""
+        own = dpkg(box, "dpkg-query", "--show", "--showformat=${Conffiles}", NAME).split()
+        assert own[::2] == ["/etc/needrestart/conf.d/hexapod-gateway.conf"]
+        assert "override_rc" in box.read(own[0])
+        box.write(own[0], "# a person's")
+        assert dpkg(box, "dpkg", "--verify", NAME).split()[1:] == ["c", own[0]]
+        assert "not as installed" not in box.run(NAME, "check", check=False).stdout
         assert "warning" not in dpkg(box, "dpkg", "--remove", NAME)
         assert box.exists(CONFIGURATION)
         dpkg(box, "dpkg", "--purge", NAME)
-        left = box.run(
-            "sh", "-c", f"ls -d /etc/{NAME} /var/lib/{NAME} {LIBRARY} {UNIT_FILE} /usr/bin/{NAME}", check=False
-        )
-        assert left.stdout == ""
+        places = f"/etc/{NAME} {own[0]} /var/lib/{NAME} {LIBRARY} {UNIT_FILE} {THAW_UNIT} /usr/bin/{NAME}"
+        assert box.run("sh", "-c", f"ls -d {places}", check=False).stdout == ""
+
+
+def test_needrestart_names_the_service_and_lets_it_run(robot: Robot) -> None:
+    box, pid = robot.box, robot.unit.property("MainPID")
+    fetched = ["apt-get", "download", "needrestart", *(f"{name}-perl" for name in PERL)]
+    subprocess.run(fetched, cwd=box.shared, check=True, capture_output=True, timeout=300)
+    dpkg(box, "sh", "-c", "dpkg --install /box-out/needrestart_*.deb /box-out/lib*-perl_*.deb")
+    assert f"{NAME}.service" in dpkg(box, "sh", "-c", REPLACE, "sh", pid)
+    assert robot.unit.properties("MainPID", "NRestarts") == [pid, "0"]
 
 
 def test_the_package_runs_with_any_python_that_fits(installed: Robot) -> None:

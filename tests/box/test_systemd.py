@@ -136,6 +136,21 @@ def test_hanging(robot: InstalledGateway) -> None:
     assert {transfer.data for transfer in robot.bed.transfers if transfer.opening > opening} == STOPS
 
 
+def test_a_frozen_service_is_stopped_each_time(robot: InstalledGateway) -> None:
+    """`systemctl freeze`, while a leg moves: what should stop it afterwards would be frozen, too."""
+    for verb in ("start", "restart", "start"):
+        robot.unit.systemctl(verb)
+        hold_for_a_moment(robot)
+        opening, cursor = robot.bed.transfers[-1].opening, robot.cursor()
+        with robot.journal() as journal:
+            frozen_ns = time.monotonic_ns()
+            robot.unit.systemctl("freeze")
+            stops = wait_for_stops(robot.bed, opening=opening + 1)
+            print(f"first Stop {(stops[0].monotonic_ns - frozen_ns) / 1e6:.0f} ms after the freeze")
+            journal.wait_for_output("Started")
+        assert "timed out" not in robot.journal_since(cursor)
+
+
 FILL = """
 import ctypes, os, socket, sys
 PIDFD_GETFD = 438  # a system call that Python does not know

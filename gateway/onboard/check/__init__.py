@@ -123,7 +123,7 @@ def run(config: Path | None, robot: CheckedRobot, seen: Sequence[Result]) -> Ite
             fix = "state in the file what the controller needs; take the variable out (systemctl cat hexapod-gateway)"
             yield from (Result("in use", Verdict.WARNING, each, fix) for each in effective.differences(used, path))
         yield from results(robot, installation.state_disk, *wire.PROBES, *security.PROBES, wire.power)
-    yield from results(robot, installation.unit, installation.machine)
+    yield from results(robot, installation.unit, installation.restarts, installation.machine)
 
 
 # ---- from a laptop

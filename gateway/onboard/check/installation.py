@@ -40,11 +40,15 @@ _OURS: Final = re.compile(r"\b(?:HEXAPOD_|PYTHON|GATEWAY_(?!HANDOVER_))\w+")
 _ASSIGNED: Final = re.compile(r"^[ \t]*(\w+)[ \t]*=[ \t]*(.*?)[ \t]*$", re.MULTILINE)
 _ASK_POWER_SAVE, _DISABLED_BYTE = 0x8B2D, 21  # SIOCGIWPOWER; a struct iwreq begins with the name in 16 bytes
 
+_TRUE: Final = ("true", "yes", "on", "with", "enable", "1")
+"""What apt reads as true."""
 _INSTALL: Final = f"sudo apt install ./{SERVICE}_VERSION_ARCH.deb"
 _RELOAD: Final = "sudo systemctl daemon-reload"
 _CANNOT_START: Final = "the service cannot start, nor stop the servos after its end"
 _NO_STOP: Final = "nothing stops the servos if the gateway dies"
 _NOT_KEPT: Final = "no calibration, emergency stop or list is kept"
+_NEEDRESTART: Final = f"/etc/needrestart/conf.d/{SERVICE}.conf"
+_REBOOTS: Final = re.compile(r"""^\s*Unattended-Upgrade::Automatic-Reboot\s+["']?(\w+)""", re.MULTILINE | re.IGNORECASE)
 _NM: Final = "/etc/NetworkManager/conf.d/hexapod-wifi.conf"
 
 
@@ -177,6 +181,21 @@ def drop_ins(robot: CheckedRobot) -> Iterator[Result | None]:
             warning(name, f"{name} is in the service's environment, but neither its unit nor a drop-in sets it",
                     "take it out of DefaultEnvironment= in /etc/systemd/system.conf if it is there; stop the robot, "
                     f"then: sudo systemctl daemon-reexec; sudo systemctl unset-environment {name}; {RESTART}"))
+
+
+def restarts(robot: CheckedRobot) -> Iterator[Result | None]:
+    """Other programs that would restart the service or the machine while a robot stands."""
+    kept = re.search(rf"^[^#]*override_rc.*{SERVICE}.*= *0", robot.text(_NEEDRESTART), re.MULTILINE)
+    yield first("needrestart",
+        warning(robot.path("/usr/sbin/needrestart").exists() and not kept, "needrestart restarts the service after an "
+                f"upgrade of a library, and the robot drops: {_NEEDRESTART} does not forbid it",
+                f"sudo tee {_NEEDRESTART} <<< '$nrconf{{override_rc}}->{{qr(^{SERVICE}\\.service$)}} = 0;'"))
+    parts = sorted(robot.path("/etc/apt/apt.conf.d").glob("*"), key=lambda each: each.name)
+    stated = _REBOOTS.findall("\n".join(robot.text(each.relative_to(robot.root)) for each in parts))
+    yield first("reboots",
+        warning(stated and stated[-1].lower() in _TRUE, "unattended-upgrades reboots this machine after some upgrades, "
+                "and the robot drops",
+                "sudo tee /etc/apt/apt.conf.d/99-no-reboot <<< 'Unattended-Upgrade::Automatic-Reboot \"false\";'"))
 
 
 # ---- user, files and disks

@@ -40,7 +40,8 @@ GATEWAY = Path(certs.__file__).parents[1]
 LENGTH: dict[str, Any] = {"framing": "length-prefixed"}
 PROBES: tuple[Probes, ...] = (
     *(wire.uart, wire.power, wire.plugin, wire.spi_bus, wire.framing, wire.calibration),
-    *(*security.PROBES, installation.machine, installation.state, installation.users, installation.unit),
+    *(*security.PROBES, installation.machine, installation.restarts, installation.state, installation.users),
+    installation.unit,
 )
 """UART and board first: what looks for the gateway, on SPI, comes behind them."""
 
@@ -49,6 +50,9 @@ def robot(root: Path, **sections: Any) -> CheckedRobot:
     return CheckedRobot(Settings.of(sections), root, lambda *_: {})
 
 
+NEEDRESTART = "etc/needrestart/conf.d/hexapod-gateway.conf"
+KEEPS = (GATEWAY / "deploy/debian/needrestart.conf").read_text().splitlines()[-1]
+APT, REBOOT = "etc/apt/apt.conf.d/50unattended-upgrades", "Unattended-Upgrade::Automatic-Reboot"
 UP = {"LoadState": "loaded", "ActiveState": "active", "UnitFileState": "enabled", "NeedDaemonReload": "no"}
 UP |= {"ExecStopPost": "{ path=/run/program ; argv[]=/run/program stop-servos }"}
 DROP_IN = "/etc/systemd/system/hexapod-gateway.service.d/own.conf"
@@ -420,6 +424,14 @@ SCENES = (
     Scene("supply", files({"sys/class/hwmon/hwmon1/name": "rpi_volt\n", "sys/class/hwmon/hwmon1/in0_lcrit_alarm":
                            "1\n"}), "warning supply: this Raspberry Pi's supply voltage is low"),
     Scene("supply", files({"sys/class/hwmon/hwmon1/name": "rpi_volt", "sys/class/hwmon/hwmon1/in0_lcrit_alarm": "0"})),
+    Scene("needrestart", files({"usr/sbin/needrestart": ""}), "warning needrestart: … restarts the service after"),
+    Scene("needrestart", files({"usr/sbin/needrestart": "", NEEDRESTART: f"# {KEEPS}"}), "warning … does not forbid"),
+    Scene("needrestart", files({"usr/sbin/needrestart": "", NEEDRESTART: KEEPS})),
+    Scene("needrestart", files({})),
+    Scene("reboots", files({APT: f'// {REBOOT} "false";\n{REBOOT} "true";\n'}),
+          "warning reboots: … reboots this machine … sudo tee /etc/apt/apt.conf.d/99"),
+    Scene("reboots", files({APT: f'{REBOOT} "true";', f"{APT}-own": f'{REBOOT} "0";'})),
+    Scene("reboots", files({APT: f'//{REBOOT} "true";\n{REBOOT}-Time "02:00";'})),
     Scene("SPI device", here(spi={"device": "/bin/sh"}), "failure … /bin/sh is no device node → … switch SPI on"),
     Scene("SPI device", here(spi={"device": "/dev/none"}), "/dev/none: No such file … → without … switch SPI"),
     Scene("SPI device", served(here(**NODE)), "may not be opened … → sudo chgrp spi /dev/null && sudo chmod",
