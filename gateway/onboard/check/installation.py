@@ -108,7 +108,7 @@ def release(robot: CheckedRobot) -> Iterator[Result | None]:
         runs, package = loaded[1].removesuffix(".kept") if loaded else current, package or current
         yield first("release",
             failure(status == "half-installed" or wanted == "deinstall", f"{package} is only partly installed: dpkg "
-                    "was interrupted", _INSTALL.replace("apt install", "dpkg --install")),  # apt would refuse
+                    "was interrupted", _INSTALL.replace("apt install", "dpkg --install")),  # apt rejects it
             failure(status in _NOT_CONFIGURED, f"{robot.text(release_switch.WHY) or f'{package} is {status}'}. So "
                     f"{current} goes on, and each apt command repeats the error",
                     f"fix what is named, then, with the robot stopped: {release_switch.CONFIGURE}"),
