@@ -202,7 +202,8 @@ class Legs:
             servos = [self.servos[servo_id] for servo_id, op in targets if op.op is OP_STOP]
             # If a stream above the rate keeps stopping a stopped servo of a leg that it moves, the repeats suffice.
             moves = len(servos) < len(targets)
-            sent = [each for each in servos if not moves or each.running or not self.stops.repeats(each.servo_id)]
+            at_once = not moves or now_ns >= leg.slots.next_ns
+            sent = [each for each in servos if at_once or each.will_run or not self.stops.repeats(each.servo_id)]
             effects += stops(leg, sent, Cause.COMMAND, commands=(command,))
             if command.lost:
                 effects += self.drop(servos, Reason.OVERFLOW, _LOST)

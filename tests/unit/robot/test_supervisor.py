@@ -70,6 +70,17 @@ SCENES: Final = {
         101 leg 1 stop | set 80 | set 80 → command 11 stop
         102 leg 1 stop | set 70 | set 70 → completed 2 coalesced
         121 time → …; repeat 11 stop; …""",
+    "a stop among moves does not wait for the repeats of an earlier one": """
+        rules repeats=3
+        100 leg 1 start 90
+        110 leg 1 stop | set 80 | set 80 → command 11 stop; command 1 stop | set 80 | set 80; completed 2
+        118 leg 1 stop | set 70 | set 70 → command 11 stop; command 1 stop | set 70 | set 70; completed 3""",
+    "a stop among moves does not wait for the repeats if it ends a waiting start": """
+        rules repeats=3
+        100 leg 1 start 90
+        101 leg 1 stop | set 80 | set 80 → command 11 stop
+        102 servo 11 start 70 → nothing
+        103 leg 1 stop | set 80 | set 80 → command 11 stop; …""",
     "one set to a stopped servo rejects the whole command": """
         1 servo 11 start 90
         30 leg 1 set 80 | start 80 | set 80 → rejected 2 servo_stopped
