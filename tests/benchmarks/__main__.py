@@ -59,11 +59,14 @@ class Stream:
     cpu_aim: float | None = None
     p50_aim: float | None = None
     rclpy_aim: float | None = None
+    at_once: int = 1
+    """How many messages follow each other without a pause."""
 
 
 STREAMS: Final = (
     Stream("six legs, a message each", cpu_aim=2.2, p50_aim=1.5, rclpy_aim=1.0),
     Stream("legs/cmd", whole=True, cpu_aim=2.7, p50_aim=1.4),
+    Stream("six legs, all at once", rclpy_aim=1.0, at_once=len(LEGS)),
     Stream("six legs, length-prefixed", framing=Framing.LENGTH_PREFIXED),
 )
 
@@ -144,7 +147,8 @@ class Runner:
         period_s = 1 / HZ / len(self._publishers)
         messages = round(seconds / period_s)
         for number in range(messages):
-            pause_s = begun_ns / 1e9 + number * period_s - time.monotonic()
+            at_once = self._stream.at_once
+            pause_s = begun_ns / 1e9 + number // at_once * at_once * period_s - time.monotonic()
             if pause_s > 0:
                 time.sleep(pause_s)
             self._count += 1
@@ -186,12 +190,12 @@ class RclpyRunner:
 
     name: Final = RCLPY
 
-    def __init__(self, folder: Path, stack: ExitStack) -> None:
-        self.figures = Figures()
+    def __init__(self, stream: Stream, folder: Path, stack: ExitStack) -> None:
+        self.figures, traffic = Figures(), (str(DOMAIN), str(HZ), str(stream.at_once))
         env = {**clean(), **ENV, "PYTHONPATH": str(ROOT)}
         preload = {"LD_PRELOAD": str(folder.parent / "instant_spidev.so"), "NOTES": str(folder / "notes")}
         node, self._publisher = (
-            stack.enter_context(Child(["env", PYTHON, "-m", _PAIR, role, str(DOMAIN), str(HZ)], {**env, **more}))
+            stack.enter_context(Child(["env", PYTHON, "-m", _PAIR, role, *traffic], {**env, **more}))
             for role, more in (("node", preload), ("publisher", {}))
         )
         node.wait_for_output("ready", timeout_s=30)
@@ -228,14 +232,15 @@ def duel(folder: Path, *, short: bool, release: Path | None) -> list[Row]:
 def _compared(stream: Stream, folder: Path, release: Path | None) -> list[Row]:
     with ExitStack() as stack:
         runners: list[Runner] = []
+        peers: list[RclpyRunner] = []
+        if stream.rclpy_aim and Path(PYTHON).exists():  # first: it takes long, and the watchdog stops idle legs
+            peers.append(_rclpy(stream, folder, stack))
         for name in (NAIVE, GATEWAY, RELEASE) if release else (NAIVE, GATEWAY):
             own = folder / name
             shutil.rmtree(own, ignore_errors=True)
             own.mkdir()
             runners.append(Runner(name, stream, own, stack, release))
-        all_of: list[Runner | RclpyRunner] = [*runners]
-        if stream.rclpy_aim and Path(PYTHON).exists():
-            all_of.append(_rclpy(folder, stack))
+        all_of: list[Runner | RclpyRunner] = [*peers, *runners]
         for number in range(SLICES + 1):  # the first counts for nothing: what is slow only once
             say(f"{stream.name}: slice {number} of {SLICES}")
             for runner in random.sample(all_of, len(all_of)):
@@ -245,10 +250,10 @@ def _compared(stream: Stream, folder: Path, release: Path | None) -> list[Row]:
     return [*_rows(stream, found), *_rows_of_rclpy(stream, found), *_rows_of_release(stream, found), *idle]
 
 
-def _rclpy(folder: Path, stack: ExitStack) -> RclpyRunner:
+def _rclpy(stream: Stream, folder: Path, stack: ExitStack) -> RclpyRunner:
     own = folder / RCLPY
-    own.mkdir()
-    return RclpyRunner(own, stack)
+    own.mkdir(exist_ok=True)
+    return RclpyRunner(stream, own, stack)
 
 
 def _idle(naive: Runner, ours: Runner) -> list[Row]:

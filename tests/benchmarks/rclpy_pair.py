@@ -1,6 +1,6 @@
 """What a user of ROS 2 would write in place of the gateway, and its publisher. Nothing is checked, no servo stopped.
 
-    python -m tests.benchmarks.rclpy_pair node|publisher DOMAIN HZ
+    python -m tests.benchmarks.rclpy_pair node|publisher DOMAIN HZ AT_ONCE
 
 Each prints `ready`. Then each line on the publisher's standard input is a number of seconds to publish for; it answers
 `done`.
@@ -12,7 +12,7 @@ from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
-ROLE, DOMAIN, HZ = sys.argv[1], int(sys.argv[2]), float(sys.argv[3])
+ROLE, DOMAIN, HZ, AT_ONCE = sys.argv[1], int(sys.argv[2]), float(sys.argv[3]), int(sys.argv[4])
 LEGS = range(1, 7)
 
 rclpy: Any = import_module("rclpy")
@@ -39,10 +39,10 @@ def writer(leg: int) -> Callable[[Any], None]:
 
 
 def publish(seconds: float) -> None:
-    """Publish each leg's next setpoint in turn, spread evenly over time."""
+    """Publish each leg's next setpoint in turn, AT_ONCE without a pause, spread evenly over time."""
     begun_s = time.monotonic()
     for number in range(round(seconds * HZ * len(LEGS))):
-        time.sleep(max(0.0, begun_s + number / HZ / len(LEGS) - time.monotonic()))
+        time.sleep(max(0.0, begun_s + number // AT_ONCE * AT_ONCE / HZ / len(LEGS) - time.monotonic()))
         publishers[number % len(LEGS)].publish(array(data=[number % 170 + 4.25, 90.0, 90.0]))
 
 
