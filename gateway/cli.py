@@ -98,7 +98,8 @@ app = typer.Typer(
     "`hexapod-gateway send legs start 90 45 120 --hold 5`.\n\n"
     "Exit codes: 0 done, or ended on request; 1 rejected, failed, not confirmed, or the output cannot be written; 2 an "
     "argument, a file or the configuration is wrong; 3 the SPI device fails; 4 no gateway answers, or Zenoh cannot be "
-    "opened, such as when its address is taken; 5 the address of the console or the live view is taken; 130 ended "
+    "opened, such as when its address is taken; 5 the address of the console or the live view is taken; 6 "
+    "another gateway holds the SPI device, UART or plug-in; 130 ended "
     "early by a signal.",
     no_args_is_help=True,
     add_completion=True,

@@ -29,6 +29,12 @@ class SpiError(GatewayError):
     exit_code = 3
 
 
+class DeviceHeldError(SpiError):
+    """Another gateway holds the device. Raised before this one writes its first frame there."""
+
+    exit_code = 6
+
+
 class ControllerSilentError(SpiError):
     """The controller gives no signs of life, on a wire that receives some."""
 

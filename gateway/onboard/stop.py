@@ -7,7 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from gateway.errors import ConfigError, GatewayError
+from gateway.errors import ConfigError, DeviceHeldError, GatewayError
 from gateway.host import effective, realtime
 from gateway.host.directories import CONFIGURATION
 from gateway.host.effective import Effective
@@ -15,7 +15,7 @@ from gateway.host.settings_reader import ForStops
 from gateway.host.settings_table import PowerSettings
 from gateway.model.frames import STOP_REPEATS
 from gateway.robot import settings
-from gateway.robot.spi.stop_all import stop_before_service
+from gateway.robot.spi.stop_all import another_gateway_holds, stop_before_service
 from gateway.robot.spi.stop_all import stop_servos as stop
 
 if TYPE_CHECKING:
@@ -73,6 +73,9 @@ def run(path: Path | None) -> bool:
     Return False if the power board has not confirmed a cut that the settings want. Raises GatewayError.
     """
     chosen = _choose(path)
+    if _is_anothers(chosen):
+        _tell("no Stop is written: another gateway holds the device, and this service has moved nothing")
+        return True
     kept = ""
     cut: SupplyCut | None = None
     try:
@@ -88,6 +91,19 @@ def run(path: Path | None) -> bool:
     if isinstance(chosen, Effective) and not chosen.ended_here:  # the unit's file lacks the unit's variables
         _say(*(f"{each}; used the latter" for each in effective.differences(chosen, path or CONFIGURATION)))
     return off
+
+
+def _is_anothers(chosen: ForStops) -> bool:
+    """Return whether systemd runs this after a `run` that never had the device, which another gateway holds now.
+
+    That `run` has written no frame that moves a servo. If its exit code or the holder is not certain, return False.
+    """
+    return (
+        isinstance(chosen, Effective)
+        and chosen.ended_here
+        and os.environ.get("EXIT_STATUS") == str(DeviceHeldError.exit_code)
+        and another_gateway_holds(chosen.wire, chosen.spi, chosen.controller)
+    )
 
 
 def _cut(power: PowerSettings | None) -> "SupplyCut | None":

@@ -209,6 +209,30 @@ def test_stop_servos_beside_the_service(robot: InstalledGateway) -> None:
         assert "rejected: servo_stopped" in robot.gateway("send", "leg", "3", "set", "1", "2", "3", check=False)
 
 
+def test_a_service_that_never_had_the_device_leaves_the_robot_of_a_gateway_in_a_terminal(
+    robot: InstalledGateway,
+) -> None:
+    """Each of its starts fails, and what systemd runs after it writes nothing; once the other is killed, Stops."""
+    at = "tcp/127.0.0.1:7448"
+    robot.box.write("/box-out/own.toml", f'spi.framing = "plain"\nzenoh.listen = ["{at}"]\n')
+    path = {"PATH": "/usr/local/bin:/usr/bin"}
+    own = robot.box.command("env", *robot.emulated, NAME, "run", "--config", "/box-out/own.toml")
+    with Child(own, path) as gateway:
+        gateway.wait_for_output("is ready")
+        with Child(robot.box.command(NAME, *MOVE_LEG_3, "--hold", "100", "--connect", at), path):
+            seen = robot.bed.wait_for(lambda seen: any(has_started(each.data) for each in seen))
+            with robot.journal() as journal:
+                robot.unit.systemctl("start", "--no-block")
+                journal.wait_for_output("is held by another gateway")
+                journal.wait_for_output("no Stop is written: another gateway holds the device")
+            since = robot.bed.transfers[len(seen) :]
+            assert {each.opening for each in since} == {seen[-1].opening}
+            assert not {each.data for each in since} & STOPS
+            before = len(robot.bed.transfers)
+            robot.box.run("pkill", "-KILL", "--full", "own.toml")
+            wait_for_stops(robot.bed, since=before)
+
+
 def test_no_framing(robot: InstalledGateway) -> None:
     """Neither the service nor stop-servos guesses: exit code 2, said twice in three lines, and nothing on the wire."""
     before = len(robot.bed.transfers)

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from gateway.client import leg_payload
-from gateway.errors import ConfigError
+from gateway.errors import ConfigError, DeviceHeldError
 from gateway.model.frames import Framing
 from schemas import keys
 from schemas.telemetry import Kind, Mode, Reason
@@ -132,7 +132,7 @@ def test_a_signal_ends_it_with_stops_as_the_last_that_is_written(
 
 def test_a_second_gateway_on_the_same_device_is_rejected(tmp_path: Path, gateway: Gateway, wire: Wire) -> None:
     with Gateway(tmp_path, settings_for(wire), bed=wire.bed, wait=False) as second:
-        assert second.child.wait(LATE_S) == 3
+        assert second.child.wait(LATE_S) == DeviceHeldError.exit_code
         assert second.child.stderr == f"hexapod-gateway: {DEVICE} is held by another gateway; stop that one first\n"
     wire.expect_nothing()
     with gateway.client() as client:

@@ -81,6 +81,10 @@ class Network(Closing):
         _run("ip", "-n", self._robot, "address", "replace", f"{address}/24", "dev", _link(laptop))
         return address
 
+    def ipv6(self, *, on: bool) -> None:
+        """Switch IPv6 on or off on the robot, the loopback interface included."""
+        _run(*self.robot, "sh", "-c", f"echo {int(not on)} >/proc/sys/net/ipv6/conf/all/disable_ipv6")
+
     def queued_bytes(self, laptop: int) -> int:
         """How many bytes that were sent to this laptop are still with the robot's kernel."""
         asked = (*self.robot, "ss", "-Htn", "state", "established", "dst", _laptop_address(laptop))

@@ -38,6 +38,19 @@ def test_what_is_there_is_listened_on_and_the_rest_as_soon_as_it_comes(tmp_path:
             assert "silent" not in inside.stdout, "its session went on"
 
 
+def test_a_gateway_that_listens_nowhere_says_that_nobody_can_reach_it(tmp_path: Path) -> None:
+    """On ::1 alone, without IPv6: until the kernel has it."""
+    there = f"tcp/[::1]:{free_port()}"
+    with Network() as network:
+        network.ipv6(on=False)
+        with Gateway(tmp_path, {"zenoh": {"listen": [there]}}, prefix=network.robot) as gateway:
+            gateway.child.wait_for_output("nobody can reach this gateway, since it listens nowhere: set zenoh.listen")
+            network.ipv6(on=True)
+            gateway.child.wait_for_output(f"listens on {there}, too")
+            with Child([*network.robot, *COMMAND, "status", "--connect", there], os.environ) as status:
+                assert status.wait() == 0
+
+
 @pytest.mark.parametrize(("listen", "missing"), [("tcp/[::]:{}", False), ("tcp/[::1]:{}", True)])
 def test_without_ipv6_it_listens_by_ipv4(tmp_path: Path, listen: str, missing: bool) -> None:
     """On all addresses, where the file names all; what certs makes does."""

@@ -15,7 +15,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
-from gateway.errors import BatchRejectedError, SpiError
+from gateway.errors import BatchRejectedError, DeviceHeldError, SpiError
 from gateway.host.descriptors import NO_SPARE, Spare
 from gateway.robot.spi import Batch, DuplexDevice, SpiDevice
 from gateway.robot.spi.outside import Listener
@@ -100,7 +100,8 @@ class KernelDevice(SpiDevice, DuplexDevice):
             self._mode = self._read_mode()
         except Exception as error:
             self.close()
-            raise SpiError(_why_not_opened(path, error)) from error
+            kind = DeviceHeldError if isinstance(error, BlockingIOError) else SpiError
+            raise kind(_why_not_opened(path, error)) from error
 
     def _open(self) -> None:
         """Open the device by spidev, or without it as a file."""

@@ -76,10 +76,14 @@ class Notice:
         return True
 
 
-def is_gateways(path: str) -> bool:
-    """Return whether a gateway has locked the device, or may have. Raises OSError if the device does not open."""
+def is_gateways(path: str, *, unknown: bool = True) -> bool:
+    """Return whether a gateway has locked the device; `unknown` if the kernel does not tell.
+
+    Raises OSError if the device does not open.
+    """
     fd = os.open(path, os.O_RDWR | os.O_CLOEXEC)
     try:
-        return is_locked(fd, _UNSEEN) is not False
+        locked = is_locked(fd, _UNSEEN)
+        return unknown if locked is None else locked
     finally:
         os.close(fd)

@@ -11,7 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from gateway.errors import ConfigError, SpiError
+from gateway.errors import ConfigError, DeviceHeldError, SpiError
 from gateway.host.descriptors import NO_SPARE, Spare
 from gateway.host.directories import SERVICE_RUNTIME, runtime_directory
 from gateway.host.settings_table import SpiSettings, WireSettings
@@ -72,7 +72,7 @@ class PluginDevice(SpiDevice):
                 os.close(self._lock)
             held = isinstance(error, BlockingIOError)
             why = f"another gateway has {self._name}; end it first" if held else f"{path}: {error.strerror}"
-            raise SpiError(why) from error
+            raise (DeviceHeldError if held else SpiError)(why) from error
 
     def transfer(self, batch: Batch) -> None:
         """Apply the batch's frames in one call. Raises SpiError, or RuntimeError for a bug of the plug-in."""

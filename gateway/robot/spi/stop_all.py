@@ -5,12 +5,13 @@ This needs no Zenoh and no running gateway, and loads little that could fail or 
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Final
 
 from gateway.host.settings_table import ControllerSettings, SpiSettings, WireSettings
 from gateway.model.frames import STOP_REPEAT_MS, STOP_REPEATS, stop_leg
 from gateway.robot.host import stop_note
-from gateway.robot.spi import Wire
+from gateway.robot.spi import Wire, outside
 from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.cyclic import CyclicBus
 from gateway.robot.spi.kernel import KernelDevice
@@ -68,6 +69,13 @@ def stop_before_service(wire: WireSettings, spi: SpiSettings, controller: Contro
         stop_once(bus)
     finally:
         bus.close()
+
+
+def another_gateway_holds(wire: WireSettings, spi: SpiSettings, controller: ControllerSettings) -> bool:
+    """Return whether a gateway certainly holds the device now. False if that is not known. Never raises."""
+    with suppress(Exception):
+        return outside.is_gateways(_bus(wire, spi, controller, exclusive=False)[1], unknown=False)
+    return False
 
 
 def _bus(wire: WireSettings, spi: SpiSettings, controller: ControllerSettings, *, exclusive: bool) -> tuple[Wire, str]:

@@ -1,11 +1,12 @@
 """The UART of elkapod-2025, by `pyserial`, with a write that never waits, as a Stop needs it."""
 
+import errno
 import os
 from contextlib import suppress
 from functools import partial
 from typing import Final, Protocol
 
-from gateway.errors import SpiError
+from gateway.errors import DeviceHeldError, SpiError
 from gateway.host.descriptors import NO_SPARE, Spare
 from gateway.model.elkapod import UART_BAUD
 from gateway.own_command import install
@@ -52,7 +53,8 @@ class SerialUart(Uart):
         try:
             self._serial = spare.open(opener)
         except (OSError, ValueError) as error:
-            raise SpiError(f"the UART {path} cannot be opened: {error}; name another with controller.uart") from error
+            kind = DeviceHeldError if getattr(error, "errno", None) == errno.EAGAIN else SpiError
+            raise kind(f"the UART {path} cannot be opened: {error}; name another with controller.uart") from error
 
     def write(self, data: bytes) -> None:
         try:

@@ -89,6 +89,10 @@ _RETRY: Final = (
 """Zenoh's settings for one endpoint, after its #."""
 _OTHERS_MS: Final = 1000
 """How long Zenoh tries the other endpoints. With 0 it would retry no endpoint, not even the late ones."""
+_NOWHERE: Final = (
+    "nobody can reach this gateway, since it listens nowhere: set zenoh.listen to addresses of this machine, such as "
+    "tcp/127.0.0.1:7447 (ip address lists them)"
+)
 _ALL, _ALL_IPV4 = "[::]", "0.0.0.0"  # noqa: S104 (as the configuration has it)
 
 logger = logging.getLogger(__name__)
@@ -194,6 +198,8 @@ class Upkeep:
             for look in count():
                 self._missing = {each: why for each, why in self._missing.items() if not self._listens_on(each)}
                 found = [f"does not listen on {each} yet: {why.strerror}" for each, why in self._missing.items()]
+                if not self._dials and self._missing.keys() >= set(listen_endpoints(self._config)) > set():
+                    found.insert(0, _NOWHERE)
                 if self._dials and look >= GRACE_LOOKS:
                     found += self._unreached(session)
                 found += self._expiring()

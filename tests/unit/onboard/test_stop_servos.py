@@ -14,6 +14,7 @@ from gateway.onboard import stop
 from gateway.robot import settings as settings_file
 from gateway.robot.power import last_cut
 from gateway.robot.power.last_cut import SupplyCut
+from gateway.robot.spi import outside
 from tests.support.board_bus import BoardBus
 
 PLAIN = 'spi.framing = "plain"\n'
@@ -30,6 +31,7 @@ class Robot:
         self.used: list[SpiSettings] = []
         self.spi_fails = False
         self.power = PowerSettings()
+        self.device = SpiSettings().device
         self.unit: tuple[int, dict[str, str]] = (0, {})
         self._folder = folder
         self._patch = monkeypatch
@@ -54,9 +56,8 @@ class Robot:
         if state == NEVER:
             return
         self._patch.setenv("INVOCATION_ID", "1")
-        effective.write(
-            ForStops(WireSettings(), SpiSettings(framing=PREFIXED).of(WireSettings()), ControllerSettings(), self.power)
-        )
+        spi = SpiSettings(device=self.device, framing=PREFIXED).of(WireSettings())
+        effective.write(ForStops(WireSettings(), spi, ControllerSettings(), self.power))
         if state != ENDED_HERE:
             self._patch.delenv("INVOCATION_ID")
         if state in {ENDED, ENDED_HERE}:
@@ -111,6 +112,32 @@ def test_the_settings_that_are_used(
     else:
         stop.run(path)
         assert [spi.framing for spi in robot.used] == [expected]
+
+
+@pytest.mark.parametrize(
+    ("state", "status", "held", "stops"),
+    [
+        (ENDED_HERE, "6", True, False),
+        (ENDED_HERE, "6", False, True),
+        (ENDED_HERE, "6", None, True),
+        (ENDED_HERE, "3", True, True),
+        (ENDED_HERE, "KILL", True, True),
+        (ENDED_HERE, "", True, True),
+        (ENDED, "6", True, True),
+        (RUNS, "6", True, True),
+    ],
+)
+def test_only_another_gateways_robot_is_not_stopped_by_the_end_of_a_service_that_never_had_it(
+    robot: Robot, monkeypatch: pytest.MonkeyPatch, state: str, status: str, held: bool | None, stops: bool
+) -> None:
+    """In each doubt it stops: who holds the device, what the service did, whether systemd asks."""
+    robot.file.write_text(PLAIN)
+    robot.device = str(robot.file)  # which can be opened
+    robot.service(state)
+    monkeypatch.setenv("EXIT_STATUS", status)
+    monkeypatch.setattr(outside, "is_locked", lambda *_: held)
+    stop.run(None)
+    assert len(robot.used) == stops
 
 
 def test_a_variable_that_names_another_device_is_meant(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
