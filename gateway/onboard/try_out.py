@@ -4,6 +4,7 @@ Each is a process of its own, as on a robot. Both end on Ctrl-C or SIGTERM, or w
 console does not end the gateway. The console starts when the gateway is ready, so that its link is printed last.
 """
 
+import errno
 import os
 import socket
 import subprocess
@@ -15,11 +16,13 @@ from pathlib import Path
 from typing import Final
 
 from gateway import own_command
-from gateway.errors import ConfigError
+from gateway.errors import ConfigError, ZenohError
 from gateway.own_command import command
-from gateway.people.terminal import on_end_signals, say
+from gateway.people.terminal import hint, on_end_signals, say
 from gateway.robot import settings
 from gateway.robot.blackbox.ring import tried
+from gateway.robot.zenoh_io.session import bind_fault
+from gateway.zenoh_config import why_not_opened
 
 NO_CONSOLE: Final = "no"
 _COMMAND: Final = Path(sys.executable).with_name("hexapod-gateway")
@@ -32,6 +35,10 @@ def try_out(console: Sequence[str]) -> int:
     """Run both until the gateway has ended. Return its exit code. `console`: the console's options, or `no`."""
     children: list[subprocess.Popen[bytes]] = []
     ended = False
+    for each in _listens_on():  # before a second one says of state and black box that the first has them
+        if (fault := bind_fault(each)) is not None and fault.errno == errno.EADDRINUSE:
+            hint(f"hexapod-gateway: {why_not_opened(str(fault), [each])}")
+            return ZenohError.exit_code
     environment = _environment(os.environ)
     own_command.reach_by(connect=environment.get(own_command.CONNECT_VARIABLE))
 
@@ -84,11 +91,17 @@ def _environment(variables: Mapping[str, str]) -> dict[str, str]:
     if "HEXAPOD_STATE__PATH" not in variables:
         tried().mkdir(mode=0o700, parents=True, exist_ok=True)
     found = {"HEXAPOD_STATE__PATH": str(tried()), "HEXAPOD_TELEMETRY__FRAMES": "true", **variables}
-    with suppress(ConfigError):  # the gateway's process reports it
-        endpoint = own_command.plain(settings.load(None, simulated=True).zenoh.listen)
-        if endpoint not in (None, own_command.DEFAULT_ENDPOINT) or own_command.CONNECT_VARIABLE in variables:
-            found[own_command.CONNECT_VARIABLE] = endpoint or own_command.DEFAULT_ENDPOINT
+    endpoint = own_command.plain(_listens_on())
+    if endpoint not in (None, own_command.DEFAULT_ENDPOINT) or own_command.CONNECT_VARIABLE in variables:
+        found[own_command.CONNECT_VARIABLE] = endpoint or own_command.DEFAULT_ENDPOINT
     return found
+
+
+def _listens_on() -> Sequence[str]:
+    """Return the gateway's endpoints; none if its settings are wrong, which its process reports."""
+    with suppress(ConfigError):
+        return settings.load(None, simulated=True).zenoh.listen
+    return ()
 
 
 def _command() -> str:

@@ -58,6 +58,11 @@ def test_make_run_keeps_an_incident_finds_a_port_and_ends_all(tmp_path: Path, mo
                 seen = frames(client)
                 assert client.start_leg(3, 90, 45, 120).accepted
                 seen.wait(lambda frame: frame.cause == "watchdog")
+            again = [sys.executable, "-m", "gateway.onboard.try_out", "no"]
+            second = subprocess.run(again, env=env, capture_output=True, text=True, check=False)
+            taken = f"hexapod-gateway: {endpoint} is taken by another program"
+            assert (second.returncode, second.stdout, second.stderr.count("\n")) == (4, "", 1), second
+            assert second.stderr.startswith(taken)
             command = [*COMMAND, "check", "--connect", endpoint]
             told = subprocess.run(command, env=env, capture_output=True, text=True, check=True).stdout
             assert not re.search("^(failure|warning  SPI)", told, re.MULTILINE), told

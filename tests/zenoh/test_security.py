@@ -15,7 +15,7 @@ import zenoh
 
 from gateway import certs
 from gateway.certs import authority
-from gateway.client import leg_payload
+from gateway.client import Client, leg_payload
 from gateway.errors import ZenohError
 from schemas import keys
 from schemas.telemetry import Kind, Mode
@@ -133,6 +133,23 @@ def test_without_a_certificate_of_its_ca_nobody_comes_in(secured: Secured, tmp_p
             zenoh.open(
                 secured.raw("anna", **{f"{TLS}/enable_mtls": certificate is not None}, **shown, **{TIMEOUT: 1000})
             )
+
+
+def test_the_documented_passwords_let_those_in_who_have_one(tmp_path: Path) -> None:
+    page = Path(certs.__file__).parents[2] / "docs/certificates.md"
+    _, gateways, _, laptops, *_ = page.read_text().partition("## Passwords instead")[2].split("```")
+    port, users, files = free_port(), tmp_path / "users.txt", (tmp_path / "gateway.json5", tmp_path / "anna.json5")
+    users.write_text("anna:PASSWORD\n")
+    for path, block in zip(files, (gateways, laptops), strict=True):
+        text = block.removeprefix("json5").replace("robot.local:7447", f"127.0.0.1:{port}")
+        path.write_text(text.replace("/etc/hexapod-gateway/zenoh/users.txt", str(users)))
+    gateway, anna = files
+    with Gateway(tmp_path, {"zenoh": {"config": str(gateway), "listen": [f"tcp/0.0.0.0:{port}"]}}):
+        with Client(zenoh_config=anna) as client:
+            assert client.start_leg(1, 90, 45, 120).accepted
+        anna.write_text(anna.read_text().replace("PASSWORD", "another"))
+        with pytest.raises(ZenohError, match="wants a password"), Client(zenoh_config=anna):
+            pass
 
 
 def test_off_loopback_it_does_not_start(tmp_path: Path) -> None:
