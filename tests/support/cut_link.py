@@ -1,4 +1,4 @@
-"""A link to the gateway that a test can cut: bytes on their way wait, as in a Wi-Fi without reception.
+"""A link to the gateway that a test can cut or slow: bytes on their way wait, as in a Wi-Fi without reception.
 
 It forwards bytes and not TLS, so both ends verify each other's certificate.
 """
@@ -6,7 +6,9 @@ It forwards bytes and not TLS, so both ends verify each other's certificate.
 import select
 import socket
 import threading
+import time
 from contextlib import suppress
+from queue import SimpleQueue
 from typing import Final
 
 from tests.support.closing import Closing
@@ -17,8 +19,12 @@ _CHUNK: Final = 65536
 class CutLink(Closing):
     """Forwards between a client, which connects to `endpoint`, and the gateway, while it is not cut."""
 
-    def __init__(self, gateway: str) -> None:
-        """`gateway` is its endpoint over TCP, such as "tcp/127.0.0.1:7447" or "tls/192.0.2.7:7447"."""
+    def __init__(self, gateway: str, delay_s: float = 0.0) -> None:
+        """`gateway` is its endpoint over TCP, such as "tcp/127.0.0.1:7447" or "tls/192.0.2.7:7447".
+
+        `delay_s`: how long everything is on its way, in either direction.
+        """
+        self._delay_s = delay_s
         protocol, _, address = gateway.partition("/")
         host, _, port = address.rpartition(":")
         self._gateway = host.strip("[]"), int(port)
@@ -62,11 +68,21 @@ class CutLink(Closing):
                     threading.Thread(target=self._forward, args=way, name="cut link", daemon=True).start()
 
     def _forward(self, source: socket.socket, sink: socket.socket, up: threading.Event) -> None:
+        on_its_way: SimpleQueue[tuple[float, bytes]] = SimpleQueue()
+        threading.Thread(target=self._deliver, args=(on_its_way, sink), name="cut link", daemon=True).start()
+        data = b"-"
         with suppress(OSError, ValueError):  # closed
-            while True:
+            while data:
                 select.select([source], [], [])
                 up.wait()  # before it is read: what was sent just before the cut may have passed, nothing later
                 data = source.recv(_CHUNK)
+                on_its_way.put((time.monotonic() + self._delay_s, data))
+
+    def _deliver(self, on_its_way: SimpleQueue[tuple[float, bytes]], sink: socket.socket) -> None:
+        with suppress(OSError):  # closed
+            while True:
+                due_s, data = on_its_way.get()
+                time.sleep(max(0.0, due_s - time.monotonic()))
                 if not data:
                     sink.shutdown(socket.SHUT_WR)
                     return

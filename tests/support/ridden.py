@@ -91,7 +91,7 @@ class Ridden:
             try:
                 self._carry_out(step)
             except StoppedError as error:
-                left = self.ride.stopped(error, () if self.cut else tuple(self.running))
+                left = self.ride.stopped(error)
                 if left:
                     self._over, self._streams = None, self._streams & left
             except GatewayError as error:

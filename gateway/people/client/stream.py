@@ -29,6 +29,8 @@ MAX_HZ: Final = 1000
 """The highest `limits.leg_rate_hz`."""
 _KEPT: Final = 64
 _STOPPED_ALREADY: Final = (Reason.ESTOPPED, Reason.STOPPING)
+_SLOW: Final = 5
+"""A start and a question after it are four ways over the link. One that takes longer is fed in between."""
 _EVENT_S: Final = 0.1
 """An event may arrive this much later than an answer about the same Stop."""
 WHOLE: Final = "the first set() has to name all six legs: this robot's controller starts and stops all of them at once"
@@ -66,6 +68,7 @@ class Stream:
         self._to_stop: frozenset[int] = frozenset()
         self._lease: Lease | None = None  # under which it started them
         self._since: datetime | None = None  # by the gateway's clock: since then all started legs run
+        self._sent: LegAngles = {}
         self._over: GatewayError | None = None
         self._doubt = pace.Doubt(0.0)
         self._events: deque[ReceivedEvent] = deque(maxlen=_KEPT)
@@ -123,7 +126,9 @@ class Stream:
         - TypeError: a leg, or an angle, is no number.
 
         After LeaseLostError, StoppedError, DisconnectedError and a rejected start each call raises the same again,
-        until `recover` or `start_again`. Then starts that fail are sent at most twice a second.
+        until `recover` or `start_again`. Then starts that fail are sent at most twice a second. If only some legs were
+        stopped, the others hold: their newest angles are sent once more, so that the program has the watchdog's timeout
+        to decide.
         """
         starts = self._over is None and not self._started
         due_s = self._pace.next_s(time.monotonic(), self._retries.next_s if starts else 0.0)
@@ -164,6 +169,7 @@ class Stream:
         """Go on after a StoppedError without `legs`. The others are set, never started: no Stop is undone."""
         self._over = None
         self._started -= frozenset(legs)
+        self._doubt.asked()  # the reports until now were about these legs
 
     def open(self) -> Self:
         """Begin without moving a leg. Warns if the gateway takes fewer setpoints a second.
@@ -234,17 +240,33 @@ class Stream:
                         self._lease.check()
                     self._check()
                 if angles.keys() <= self._started:
-                    payload = {"source": self._client.name, "legs": setpoints("set", angles)}
-                    self._client.publish(keys.LEGS_COMMAND, payload)
-                    self._doubt.sent(time.monotonic())
+                    self._publish(angles)
                 else:
                     self._start(angles)
             except (StoppedError, RejectedError, DisconnectedError) as error:
                 self._raise(error)
 
+    def _publish(self, angles: LegAngles) -> None:
+        payload = {"source": self._client.name, "legs": setpoints("set", angles)}
+        self._client.publish(keys.LEGS_COMMAND, payload)
+        self._sent = {**self._sent, **angles}
+        self._doubt.sent(time.monotonic())
+
+    def _hold(self, error: GatewayError) -> frozenset[int]:
+        """Repeat the angles of the legs that this error leaves running, if it stopped single legs. Return these legs.
+
+        The gateway rejects a message that names a stopped leg as a whole, so the others are near their watchdog.
+        """
+        left = self._started - frozenset(error.legs) if isinstance(error, StoppedError) else frozenset()
+        if left:
+            with suppress(ZenohError):
+                self._publish({leg: self._sent[leg] for leg in left})
+        return left
+
     def _raise(self, error: StoppedError | RejectedError | DisconnectedError) -> NoReturn:
         lost = error if isinstance(error, LeaseLostError) else None
-        may_be = isinstance(error, StoppedError) or (isinstance(error, RejectedError) and error.reason in NOT_OURS)
+        all_stopped = isinstance(error, StoppedError) and not self._hold(error)
+        may_be = all_stopped or (isinstance(error, RejectedError) and error.reason in NOT_OURS)
         if lost is None and may_be and self._lease is not None:  # a takeover stops all legs and rejects later commands
             lost = self._lease.confirm()
         if lost is not None:
@@ -275,9 +297,10 @@ class Stream:
         old = {leg: each for leg, each in angles.items() if leg in self._started}
         legs = setpoints("start", new) | setpoints("set", old)
         before = self._to_stop
-        self._to_stop |= new.keys()  # without an answer they may run
+        self._to_stop = self._to_stop.union(new)  # without an answer they may run
         self._lease = self._client.carried_lease
         self._received_stop.clear()
+        asked_s = time.monotonic()
         try:
             ack = self._client.ask(keys.LEGS_COMMAND, {"source": self._client.name, "legs": legs})
         except LeaseLostError:  # so it was rejected
@@ -291,7 +314,10 @@ class Stream:
         first = not self._started
         sent_s = time.monotonic()
         self._doubt.sent(sent_s)
-        self._started |= new.keys()
+        self._started = self._started.union(new)
+        self._sent = {**self._sent, **angles}
+        if sent_s - asked_s > self._doubt.watchdog_s / _SLOW:  # the next question takes as long again
+            self._publish(angles)
         self._since = self._ask().time
         if first:
             self._pace.begin(sent_s)

@@ -13,7 +13,7 @@ import zenoh
 from gateway.errors import GatewayError, RejectedError, StoppedError, UnansweredError, WalkError
 from gateway.geometry import Geometry, load
 from gateway.people.client import stopped
-from gateway.people.client.lease import CONFIRM_S, DrivingClient, Lease
+from gateway.people.client.lease import DrivingClient, Lease
 from gateway.people.client.pace import Retries
 from gateway.people.client.process_end import WalkSignals
 from gateway.people.client.stream import Stream, checked_hz
@@ -440,12 +440,8 @@ class Walk:
                 self._not_again = error
                 ride.not_again(error)
         elif isinstance(error, StoppedError) and stream is not None and not self._closing:
-            try:
-                running = running_deg(self._ask(CONFIRM_S))
-            except GatewayError:
-                running = {}  # no leg is known to run
             with self._changed:
-                left = ride.stopped(error, running)
+                left = ride.stopped(error)
             if left:
                 stream.go_on_without(frozenset(LEGS) - left)
         elif (

@@ -22,7 +22,6 @@ carries out the result, and reports the outcome: `sent`, `found`, `stopped`, `fa
 """
 
 import math
-from collections.abc import Iterable
 from enum import Enum, auto
 from typing import Final, NamedTuple
 
@@ -303,18 +302,19 @@ class Ride:
         A servo that was stopped a moment ago needs up to a second from there (`limits.takeover_deg_s`).
         """
         self._arrived = arrived
-        self._running |= pose.keys()
+        self._running = self._running.union(pose)  # `|= pose.keys()` would make a set, which `_next_start` then changes
         self._sent |= pose
         if not self.robot.limp_s:
             self._run_if_started()
 
-    def stopped(self, error: StoppedError, running: Iterable[int]) -> frozenset[int]:
-        """Legs were stopped. `running`: those that run by the gateway's state, asked for after `error`.
+    def stopped(self, error: StoppedError) -> frozenset[int]:
+        """Take the legs of `error` as stopped.
 
-        Return the legs that stand still from now on; if none, the ride has failed.
+        Return the legs that stand still from now on; if none, the ride has failed. Without a question to the gateway:
+        over a slow link their watchdog would stop them before its answer.
         """
         engine = self._engine
-        left = (self._running & frozenset(running)) - frozenset(error.legs)
+        left = self._running - frozenset(error.legs)
         stands = self.phase in (Phase.RUNS, Phase.HALTED) or bool(engine.lost)
         if not left or not stands:
             error.legs = tuple(sorted(_ALL - left)) if stands else error.legs

@@ -417,7 +417,7 @@ def test_a_robot_that_starts_as_a_whole_starts_all_legs_at_once_from_lying_also_
 def test_a_stopped_leg_that_somebody_has_started_again_is_lost_all_the_same() -> None:
     """That it runs again is not this driver's decision, and where it is nobody here knows."""
     ridden = walking()
-    assert ridden.ride.stopped(StoppedError("somebody stopped it", (3,)), LEGS) == {1, 2, 4, 5, 6}
+    assert ridden.ride.stopped(StoppedError("somebody stopped it", (3,))) == {1, 2, 4, 5, 6}
     assert ridden.ride.state.lost == (3,)
     expect_begins_anew(ridden)
 
