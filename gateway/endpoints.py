@@ -1,6 +1,7 @@
 """Parses Zenoh's endpoints, such as `tls/192.168.1.7:7447`. Pure."""
 
 import ipaddress
+import re
 from typing import Final
 
 _LOCAL_LINKS: Final = frozenset({"unixsock-stream", "unixpipe"})
@@ -16,6 +17,11 @@ def is_local(endpoint: str) -> bool:
     if link not in _IP_LINKS:
         return False
     return host_and_port(endpoint)[0] == "localhost" or (ip is not None and ip.is_loopback)
+
+
+def with_interface(endpoint: str) -> str:
+    """Return the endpoint as Zenoh reads it: `tcp/[fe80::1]:7447#iface=wlan0` for `tcp/[fe80::1%wlan0]:7447`."""
+    return re.sub(r"(\[[^\]%]+)%([^\]]+)(\]:\d+)$", r"\1\3#iface=\2", endpoint)
 
 
 def host_and_port(endpoint: str) -> tuple[str, str]:

@@ -13,6 +13,7 @@ from typing import Any, Final, NamedTuple
 import zenoh
 
 from gateway import certs, nesting
+from gateway.endpoints import with_interface
 from gateway.errors import ConfigError, ZenohError
 from gateway.own_command import DEFAULT_ENDPOINT
 
@@ -80,9 +81,11 @@ def client_config(endpoint: str | None, file: Path | None = None) -> zenoh.Confi
     if endpoint is not None:
         endpoint = endpoint if "/" in endpoint else f"tcp/{endpoint}"
         try:
-            config.insert_json5("connect/endpoints", json.dumps([endpoint]))
+            config.insert_json5("connect/endpoints", json.dumps([with_interface(endpoint)]))
         except zenoh.ZError as error:
             raise ConfigError(f'"{endpoint}" is no endpoint, such as {DEFAULT_ENDPOINT}') from error
+    else:
+        config.insert_json5("connect/endpoints", json.dumps([*map(with_interface, connect_endpoints(config))]))
     insert(config, "listen/endpoints", [], "listen")
     scouting_and_shared_memory_off(config)
     insert(config, "connect/retry", RETRY, "connect.retry")

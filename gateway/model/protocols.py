@@ -37,3 +37,8 @@ FRAMED: Final = SpiProtocol.HEXAPOD_1_0
 """SPI alone, with frames that need a framing (`spi.framing`). With the other, a UART starts and stops all servos."""
 BUILT_IN: Final = {str(each): each for each in SpiProtocol}
 """The built-in wires by name."""
+
+
+def called(wire: str) -> str:
+    """Return what sentences call the wire of this name. Older gateways state none, and have SPI."""
+    return "the SPI bus" if wire in ("", *BUILT_IN) else f"the wire {wire}"

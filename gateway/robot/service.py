@@ -26,6 +26,7 @@ from gateway.host.settings_reader import ForStops
 from gateway.host.worker import in_thread
 from gateway.model.black_box import STOP_FACTS
 from gateway.model.frames import centidegrees
+from gateway.model.protocols import called
 from gateway.robot import wires
 from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.backlog import START_WAIT_NS
@@ -98,6 +99,7 @@ class ServosFile:
 def rules(settings: Settings) -> Rules:
     """Return the supervisor's rules: the settings in ns, mV and hundredths of a degree."""
     return Rules(
+        wire=called(settings.wire.name),
         timeout_ns=round(settings.watchdog.timeout_ms * NS_PER_MS),
         whole_robot=settings.watchdog.scope == "robot" or settings.starts_whole,
         starts_whole=settings.starts_whole,

@@ -29,7 +29,9 @@ TIMEOUT_S: Final = 1.0
 """The time for all endpoints together."""
 _ALERT_S: Final = 0.3
 """Wait for the alert of a server that rejects a client's certificate: a round trip after the handshake."""
-_ENDPOINT: Final = re.compile(r"(?P<link>tcp|tls)/(?P<host>\[[^\]]+\]|[^:#?\[\]]+):(?P<port>\d{1,5})(?:[#?].*)?")
+_ENDPOINT: Final = re.compile(
+    r"(?P<link>tcp|tls)/(?P<host>\[[^\]]+\]|[^:#?\[\]]+):(?P<port>\d{1,5})(?:.*[#;]iface=(?P<iface>[^;]+)|[#?].*)?"
+)
 _OLDEST_YEAR: Final = 2024
 """No certificate of this project is older, so an earlier clock was never set."""
 
@@ -140,7 +142,8 @@ def diagnose(endpoint: str, identity: Identity, end_s: float) -> Iterator[Findin
         yield Finding(Stage.ENDPOINT, "Zenoh dials no IPv6 address over TLS", fix)
         return
     try:
-        addresses = [(family, at) for family, *_, at in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)]
+        scoped = f"{host}%{parsed['iface']}" if parsed["iface"] and ":" in host else host
+        addresses = [(family, at) for family, *_, at in socket.getaddrinfo(scoped, port, type=socket.SOCK_STREAM)]
     except (OSError, UnicodeError) as error:
         mdns = "is the robot on, and in this network? Names in .local need mDNS (avahi) here and there"
         fix = f"{mdns if host.endswith('.local') else 'check the name'}; or dial its address"

@@ -5,6 +5,7 @@ from collections.abc import Callable, Collection, Iterable
 from typing import Final, NamedTuple
 
 from gateway.errors import GatewayError, LeaseLostError, RejectedError, StoppedError
+from gateway.model.protocols import called
 from gateway.text import legs_named
 from schemas.telemetry import Cause, Event, GatewayState, Kind, Mode, Reason
 
@@ -120,7 +121,7 @@ def unready(state: GatewayState, legs: Collection[int] = (), reset: str = "") ->
         case Mode.BUS_FAULT if state.controller.alive is False:
             return StoppedError("the controller fell silent", legs, None, Kind.CONTROLLER_SILENT)
         case Mode.BUS_FAULT:
-            return StoppedError("the SPI bus did not answer", legs, None, Kind.BUS_FAULT)
+            return StoppedError(f"{called(state.wire.name)} did not answer", legs, None, Kind.BUS_FAULT)
         case _:
             return StoppedError("the gateway ended, or was started anew", legs, None, Kind.STOPPING)
 

@@ -440,6 +440,7 @@ class Walk:
                 self._not_again = error
                 ride.not_again(error)
         elif isinstance(error, StoppedError) and stream is not None and not self._closing:
+            self._newest.stopped(error.legs)
             with self._changed:
                 left = ride.stopped(error)
             if left:

@@ -30,7 +30,7 @@ WORDS: Final = {
     "lease-taken": "somebody took the lease from its holder, and all legs were stopped",
     "stopped-outside": "stop-servos stopped all legs past the gateway",
     "estop": "somebody requested an emergency stop",
-    "bus-fault": "the SPI bus failed",
+    "bus-fault": "the wire to the servos failed",
     "off-button": "somebody pressed the robot's off button, and all legs were stopped",
     "controller-silent": "the controller fell silent, and all legs were stopped",
     "controller-restarted": "the controller may have restarted, and all legs were stopped",

@@ -77,6 +77,19 @@ class Newest:
         if not 0 < late_s < NEWS_S:  # otherwise the gateway was restarted
             self._newest = state, now_s
 
+    def stopped(self, legs: Collection[int]) -> None:
+        """Take a report, newer than the state, that these legs were stopped."""
+        state, came_s = self._newest
+        if state is not None:
+            off = {"running": False}
+            reports = [
+                each.model_copy(update={"servos": tuple(servo.model_copy(update=off) for servo in each.servos)})
+                if each.leg in legs
+                else each
+                for each in state.legs
+            ]
+            self._newest = state.model_copy(update={"legs": tuple(reports)}), came_s
+
     @property
     def arrived(self) -> bool:
         """Whether all running servos are where they were commanded. An older gateway reports no targets."""

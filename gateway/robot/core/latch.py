@@ -47,7 +47,7 @@ class Latch(Interlock[EmergencyStop | Reset | EstopKept]):
                 self.since_ns = legs.instant_ns  # not now: a reset of the same instant may be older
                 detail, done = "emergency stop; all commands are rejected until a reset", "all six legs are stopped"
                 if not legs.sends:
-                    done = "the SPI bus does not answer, and the Stop frames follow as soon as it does"
+                    done = f"{self._rules.wire} does not answer, and the Stop frames follow as soon as it does"
                 engaged = Announce(
                     Kind.ESTOP_ENGAGED, detail, event.source, event.key, done=done, source_id=event.source_id
                 )

@@ -10,6 +10,8 @@ from gateway.model.frames import STOP_REPEAT_MS, STOP_REPEATS
 class Rules:
     """All times are in nanoseconds, all angles in hundredths of a degree."""
 
+    wire: str = "the SPI bus"
+    """The wire's name in sentences."""
     timeout_ns: int = 250 * NS_PER_MS
     whole_robot: bool = False
     repeats: int = STOP_REPEATS
@@ -82,6 +84,11 @@ class Rules:
     feed_ns: int = 1800 * NS_PER_MS
     """How long a start waits for power. The board takes up to 1 s for 18 servos, and 0.4 s for the first one, which is
     powered alone. A client waits 2 s for its answer."""
+
+    @property
+    def wire_fault(self) -> str:
+        """Why commands are rejected while the wire is at fault."""
+        return f"{self.wire} is at fault; the gateway is trying to open it again"
 
     @property
     def stops_whole(self) -> bool:

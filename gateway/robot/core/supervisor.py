@@ -80,11 +80,10 @@ from gateway.robot.core.rules import Rules
 from gateway.robot.core.watchdog import Watchdog
 from schemas.telemetry import Cause, Kind, Mode, Reason
 
-_BUS_FAULT: Final = "the SPI bus is at fault; the gateway is trying to open it again"
 _STOPPING: Final = "the gateway is ending"
 _REJECTING: Final = {
     Mode.ESTOPPED: (Reason.ESTOPPED, ESTOPPED),
-    Mode.BUS_FAULT: (Reason.BUS_FAULT, _BUS_FAULT),
+    Mode.BUS_FAULT: (Reason.BUS_FAULT, ""),  # `Rules.wire_fault`
     Mode.STOPPING: (Reason.STOPPING, _STOPPING),
 }
 """The modes in which every command is rejected, and why."""
@@ -308,7 +307,8 @@ class Supervisor:
     def _why_not(self, request: Barred) -> Why | None:
         kind = type(request)
         if self.mode in _REJECTING and not (kind is Reset and self.mode is Mode.ESTOPPED):
-            return _REJECTING[self.mode]
+            at_fault = Reason.BUS_FAULT, self._rules.wire_fault
+            return at_fault if self.mode is Mode.BUS_FAULT else _REJECTING[self.mode]
         if kind is not Command or request.moves:
             asked = None if request.lease is None else self.lease  # even a free lease objects to an old token
             for each in self._interlocks:
@@ -339,11 +339,12 @@ class Supervisor:
     # mutants accepted (TrueWithFalse): nobody opens a bus that is open
     def _bus_opened(self, now_ns: int) -> list[Effect]:
         recovered, self._opened, self.legs.sends = self._opened, True, True
-        effects = self._stop_all(Halt(Cause.STARTUP, Reason.BUS_FAULT, _BUS_FAULT), now_ns)
+        effects = self._stop_all(Halt(Cause.STARTUP, Reason.BUS_FAULT, self._rules.wire_fault), now_ns)
         if recovered:
             of_bus, self._fault = self._fault is Kind.BUS_FAULT, Kind.BUS_FAULT
-            who, kind = ("SPI bus", Kind.BUS_RECOVERED) if of_bus else ("controller", Kind.CONTROLLER_RETURNED)
-            effects.append(Announce(kind, done=f"the {who} answers again; all servos are stopped"))
+            by_wire, by_it = (self._rules.wire, Kind.BUS_RECOVERED), ("the controller", Kind.CONTROLLER_RETURNED)
+            who, kind = by_wire if of_bus else by_it
+            effects.append(Announce(kind, done=f"{who} answers again; all servos are stopped"))
         return effects
 
     def _bus_failed(self, event: BusFailed) -> list[Effect]:  # mutants accepted (Forget): done twice on purpose
@@ -352,7 +353,7 @@ class Supervisor:
         stays_away = event.kind is Kind.CONTROLLER_SILENT and self._fault is Kind.CONTROLLER_RESTARTED
         self.legs.landing_ends_ns = None  # once the bus opens again, all legs are stopped and none lands
         self.legs.stops.forget()
-        effects = self.legs.drop(self.legs.servos.values(), Reason.BUS_FAULT, _BUS_FAULT)
+        effects = self.legs.drop(self.legs.servos.values(), Reason.BUS_FAULT, self._rules.wire_fault)
         if first or stays_away:
             self._fault = event.kind
             effects.append(Announce(event.kind, event.detail))
@@ -363,7 +364,7 @@ class Supervisor:
         self.legs.stops.runs = 0
         self.lease.end()
         sends = self.legs.sends
-        done = "all servos are stopped" if sends else "the SPI bus does not answer, so no Stop can be sent"
+        done = "all servos are stopped" if sends else f"{self._rules.wire} does not answer, so no Stop can be sent"
         announcement = Announce(Kind.STOPPING, "the gateway ends", done=done)
         return [*self._stop_all(Halt(Cause.SHUTDOWN, Reason.STOPPING, _STOPPING), now_ns), announcement]
 

@@ -38,6 +38,11 @@ class Whole(Board):
         super().apply(changes)
 
 
+class Absent(Board):
+    def open(self) -> None:
+        raise OSError("no such board")
+
+
 class OnceOnly(Board):
     def open(self) -> None:
         if Board.opened:
@@ -117,6 +122,13 @@ def test_what_is_not_kept_is_named(kind: type[ServoWire], line: str, judged: Cal
     assert code == 1
     assert line in said
     assert "NOT kept" in said
+
+
+def test_after_one_that_does_not_open_nothing_else_is_tried(judged: Callable[..., tuple[int, str]]) -> None:
+    code, said = judged(Absent)
+    assert code == 1
+    assert said.count("FAIL") == 1, said
+    assert "board does not open, so nothing else was tried" in said
 
 
 def test_unplugged_it_has_to_raise(monkeypatch: pytest.MonkeyPatch, judged: Callable[..., tuple[int, str]]) -> None:

@@ -15,6 +15,7 @@ from gateway.certs import authority
 from gateway.people.client.diagnosis import Stage, diagnose, validity
 from gateway.people.client.requests import Identity
 from gateway.people.commands import why
+from gateway.zenoh_config import client_config, connect_endpoints
 
 BEGIN = dt.datetime(2026, 1, 1, tzinfo=dt.UTC)
 END = dt.datetime(2028, 1, 1, tzinfo=dt.UTC)
@@ -46,6 +47,18 @@ def test_a_certificate_and_a_clock(now: dt.datetime, said: str, fix: str) -> Non
     assert finding.sentence.startswith(said)
     assert fix in finding.fix
     assert bool(finding.fix) is bool(fix)
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "dialled"),
+    [
+        ("tcp/[fe80::1%wlan0]:7447", "tcp/[fe80::1]:7447#iface=wlan0"),
+        ("[fe80::1%eth0.7]:7447", "tcp/[fe80::1]:7447#iface=eth0.7"),
+        ("tcp/[::1]:7447", "tcp/[::1]:7447"),
+    ],
+)
+def test_the_interface_of_a_link_local_address_is_zenohs(endpoint: str, dialled: str) -> None:
+    assert connect_endpoints(client_config(endpoint)) == [dialled]
 
 
 @pytest.mark.parametrize("endpoint", ["tls/[2001:db8::7]:7447", "quic/robot:7447", "robot:7447", "tls/robot"])

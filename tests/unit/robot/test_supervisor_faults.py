@@ -83,6 +83,15 @@ SCENES: Final = {
         mentions no Stop can be sent
         120 open → startup 1-6 stop; …
         mode stopping""",
+    "sentences name a plug-in's wire": """
+        rules wire="the wire my-board", repeats=0, rest_runs=0
+        100 fail
+        101 leg 1 start 90 → rejected 1 bus_fault
+        mentions the wire my-board is at fault
+        110 estop → announce estop_engaged
+        mentions the wire my-board does not answer
+        200 open → startup 1-6 stop; …
+        mentions the wire my-board answers again""",
     "an emergency stop before the bus was ever open latches": """
         unopened
         0 estop → announce estop_engaged
