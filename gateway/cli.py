@@ -20,6 +20,7 @@ from gateway.errors import ConfigError, GatewayError
 from gateway.host import output
 from gateway.model.frames import PROTOCOL_VERSION
 from gateway.onboard import check_command, incidents, setup_command
+from gateway.own_command import command as own_command
 from gateway.people import recorder
 from gateway.people.commands import certs, walk
 from gateway.people.commands.options import (
@@ -60,7 +61,7 @@ class _Commands(TyperGroup):
         if command is None and cmd_name == "setup":
             raise ConfigError("setup is a command of the Debian package: sudo apt install ./hexapod-gateway_….deb")
         if command is None and cmd_name in _OPS:
-            example = "hexapod-gateway send leg 3 start 90 45 120; to stand up and go: hexapod-gateway walk"
+            example = f"{own_command('send leg 3 start 90 45 120')}; to stand up and go: {own_command('walk')}"
             raise ConfigError(f"{cmd_name} is a word of `send`: {example}")
         for panel, names in _PANELS.items():
             if cmd_name in names:

@@ -62,7 +62,7 @@ def taken() -> Iterator[int]:
         yield port
 
 
-TAKEN, FREE, RUNS = "is taken by another program", "is free", "by the running gateway"
+TAKEN, FREE, RUNS = "is held by another program", "is free", "by the running gateway"
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,6 @@ import doctest
 import json
 import math
 import os
-import pydoc
 import re
 import socket
 import subprocess
@@ -210,14 +209,6 @@ def test_wait_ready_says_at_once_who_engaged_the_emergency_stop_and_its_command_
 
 
 # ---- what a person sees of it
-
-
-def test_the_help_of_a_client_fits_a_screen_and_shows_nothing_private() -> None:
-    shown = pydoc.plain(pydoc.render_doc(Client)).splitlines()
-    assert len(shown) <= (52 if sys.version_info < (3, 13) else 72), "from 3.13 on, each argument has a line of its own"
-    assert not [line for line in shown if "@private" in line or re.search(r"\b_\w+\(", line)]
-    public = {name for name, member in vars(Client).items() if name[0] != "_" and "@private" not in str(member.__doc__)}
-    assert {name for name in public if not re.search(rf"\b{name}\b", "\n".join(shown))} <= {"close"}
 
 
 def test_what_is_shown_of_objects_is_short(robot: Client) -> None:

@@ -91,6 +91,7 @@ class Machine:
         if not path.parent.is_dir():
             path.parent.mkdir(0o750, parents=True)
             os.chown(path.parent, -1, gid)
+            path.parent.chmod(0o750)  # regardless of the umask
         durable.write_with_mode(path, data, 0o640, prepare=lambda descriptor: os.fchown(descriptor, -1, gid))
 
     def gid(self, group: str) -> int:

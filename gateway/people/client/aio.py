@@ -33,12 +33,14 @@ class Calls:
     async def run(self, call: Callable[[], T], too_late: Callable[[T], object] = id, *, stops: bool = False) -> T:
         """Return the result of `call`, or raise its error. If cancelled, `call` continues; then `too_late` gets it."""
         future = (self._stops if stops else self._questions).submit(call)
+        on_loop = asyncio.wrap_future(future)
         try:
-            return await asyncio.shield(on_loop := asyncio.wrap_future(future))
+            await asyncio.wait([on_loop])  # Python 3.14's `shield` prints errors that come after a cancellation
         except asyncio.CancelledError:
             on_loop.add_done_callback(asyncio.Future.exception)  # else asyncio prints the error that nobody awaits
             self._stops.submit(lambda: future.exception() or too_late(future.result()))
             raise
+        return on_loop.result()
 
     def wait_for_stops(self, call: Callable[[], None]) -> None:
         """Wait until all pending Stops have their answers, then call `call`. Blocks."""

@@ -134,7 +134,7 @@ class Supervisor:
         self.due_ns: int | None = None
         """When to send `TimePassed`; None: another event comes first."""
         self.usual_ns = 0
-        """Until when a command that moves running servos may go the usual way; 0: not at all."""
+        """Until when a command that moves running servos may go the usual way (ns), or 0 if it must not."""
         self._has_usual = not rules.max_speed_cdeg_s
 
     def connect(self, interlocks: Iterable[Interlock[Any]]) -> None:

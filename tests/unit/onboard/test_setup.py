@@ -9,7 +9,7 @@ import shutil
 import stat
 import subprocess
 import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -298,6 +298,14 @@ def test_what_the_former_installer_left(computer: Computer) -> None:
     assert "daemon-reload" in computer.systemd.calls
 
 
+@pytest.fixture(params=[0o022, 0o077], ids="{:03o}".format)
+def umask(request: pytest.FixtureRequest) -> Iterator[None]:
+    before = os.umask(request.param)
+    yield
+    os.umask(before)
+
+
+@pytest.mark.usefixtures("umask")
 def test_the_console(computer: Computer) -> None:
     assert computer.says(dry=True, framing="plain", console=True)[-4:-1] == [
         "write /etc/hexapod-console/console.conf",

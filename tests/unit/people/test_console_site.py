@@ -33,12 +33,20 @@ TLS = Site("0.0.0.0", 443, ("robot.local", "192.0.2.7", "2001:db8::7"), ssl.SSLC
         (HERE, "localhost:"),
         (TLS, "0.0.0.0"),  # noqa: S104
         (TLS, "robot.local:8443"),
+        (TLS, "localhost:443"),
+        (TLS, "127.0.0.1:8443"),
+        (HERE, "127.0.0.2:8080"),
+        (HERE, "[::ffff:127.0.0.1]:8080"),
+        (HERE, "localhost.:8080"),
+        (HERE, "evil.example@127.0.0.1:8080"),
+        (HERE, "127.0.0.1:8080, evil.example"),
     ],
 )
 def test_foreign_hosts(where: Site, host: str | None) -> None:
     assert not where.knows_host(host)
 
 
+CERTIFIED = Site("127.0.0.1", 8443, ("robot.local", "localhost"), TLS.tls)
 PROXIED = site("127.0.0.1:8080", None, None, ("Robot.example",))
 
 
@@ -48,6 +56,7 @@ PROXIED = site("127.0.0.1:8080", None, None, ("Robot.example",))
         (HERE, "127.0.0.1:8081", "http://127.0.0.1:8081"),
         (HERE, "localhost:9000", "http://localhost:9000"),
         (HERE, "[::1]:8081", "http://[::1]:8081"),
+        (CERTIFIED, "localhost:8081", "https://localhost:8081"),
         (PROXIED, "robot.example", "https://robot.example"),
         (PROXIED, "ROBOT.example:8443", "https://ROBOT.example:8443"),
         (PROXIED, "robot.example", "http://robot.example"),

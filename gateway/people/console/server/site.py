@@ -32,6 +32,7 @@ from gateway.people.console.pages.page_messages import Role
 _HOST: Final = re.compile(r"(?P<name>[\w.-]+|\[[\da-f:.]+])(?::(?P<port>\d{1,5}))?", re.ASCII | re.IGNORECASE)
 LOCALHOST: Final = ("127.0.0.1", "::1")
 """Browsers resolve `localhost` to these, independent of the hosts file. Links name the first."""
+_LOOPBACK: Final = (*LOCALHOST, "localhost")
 BACKLOG: Final = 64
 """Connections that the kernel queues; it drops further ones."""
 UNSENT_BYTES: Final = 4096
@@ -80,15 +81,18 @@ class Site:
         return f"{sudo}{this_command()} console --link --listen {shlex.quote(with_port(self.address, self.port))}"
 
     def knows_host(self, host: str | None) -> bool:
-        """Return whether a Host header names this site. A tunnel leads to it from loopback at any port."""
+        """Return whether a Host header names this site. A tunnel leads to it from loopback at any port.
+
+        No other machine's name can point at loopback, so its names are safe from DNS rebinding at any port. With TLS,
+        loopback counts only if the certificate names it.
+        """
         own = [with_port(each, self.port) for each in self.hosts]
         if self.port == (443 if self.tls else 80):  # browsers leave it out
             own += [each.rpartition(":")[0] for each in own]
+        local = [each for each in _LOOPBACK if self.tls is None or each in self.hosts]
         name, port = _split((host or "").lower())
         return host is not None and (
-            host.lower() in own
-            or name in self.admitted
-            or (port != "" and name.strip("[]") in (*LOCALHOST, "localhost"))
+            host.lower() in own or name in self.admitted or (port != "" and name.strip("[]") in local)
         )
 
     def is_own(self, origin: str | None, host: str | None) -> bool:
@@ -169,7 +173,7 @@ def site(listen: str, certificate: Path | None, key: Path | None, admitted: Sequ
                 "where ca.key is, hexapod-gateway certs issue web --role console --host NAME --dir DIR makes both\n"
                 "or keep it on this machine (--listen 127.0.0.1:8080), and reach it through ssh -L 8080:127.0.0.1:8080"
             )
-        hosts = (*LOCALHOST, "localhost") if address == "localhost" else tuple(dict.fromkeys((address, "localhost")))
+        hosts = _LOOPBACK if address == "localhost" else tuple(dict.fromkeys((address, "localhost")))
         return Site(address, port, hosts, admitted=names)
     certified = hosts_of(read_certificate(certificate))
     if not certified:

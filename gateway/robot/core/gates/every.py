@@ -1,4 +1,4 @@
-"""Asks all gates when a servo's next frame may leave. A new gate is a file beside this one, and a line in `Gates`."""
+"""Asks all gates when a servo's next frame may leave. A new gate is a file in this folder, and a line in `Gates`."""
 
 from collections.abc import Mapping
 from typing import Protocol
@@ -16,7 +16,7 @@ class Gate(Protocol):
     """Delays the starts of servos."""
 
     def opens_ns(self, servo: Servo) -> int:
-        """Return when this waiting servo may start (ns); NEVER: not as things are."""
+        """Return when this waiting servo may start (ns), or NEVER until another event opens the gate."""
 
 
 class Gates:
@@ -30,5 +30,8 @@ class Gates:
         self._gates: tuple[Gate, ...] = (self.burst, self.supply, self.stagger, *whole)
 
     def opens_ns(self, servo: Servo) -> int:
-        """Return when this waiting servo may start, apart from its leg's rate slot (ns); NEVER: not as things are."""
+        """Return when this waiting servo may start, apart from its leg's rate slot (ns).
+
+        NEVER: not until another event opens a gate.
+        """
         return max(gate.opens_ns(servo) for gate in self._gates)
