@@ -233,6 +233,34 @@ def test_a_service_that_never_had_the_device_leaves_the_robot_of_a_gateway_in_a_
             wait_for_stops(robot.bed, since=before)
 
 
+def test_first_stops_wait_for_no_disk_of_the_state(robot: InstalledGateway) -> None:
+    """The documented recipe, with a disk that is missing: Stops come while the service waits for it; then it starts."""
+    page = (REPOSITORY / "docs/robot.md").read_text().partition("## Keep the state over a boot")[2]
+    lines = [line.removeprefix("$ sudo ") for line in page.split("```")[1].splitlines() if line.startswith("$ ")]
+    recipe = "\n".join(line for line in lines if "fstab" not in line and "mount /srv" not in line)
+    recipe = recipe.replace("\\n[Install]", f"\\nEnvironment={' '.join(robot.emulated)}\\n[Install]")
+    units = "srv-hexapod.mount hexapod-stops hexapod-gateway"
+    try:
+        robot.configure('state.path = "/srv/hexapod"\n')
+        # In a container systemd waits for no device, so a service that does not end is in its place.
+        robot.box.write("/run/systemd/system/disk.service", "[Service]\nType=oneshot\nExecStart=/bin/sleep infinity\n")
+        needs = "[Unit]\nRequires=disk.service\nAfter=disk.service\n"
+        robot.box.write("/run/systemd/system/srv-hexapod.mount", f"{needs}[Mount]\nWhat=tmpfs\nWhere=/srv/hexapod\n")
+        robot.box.run("bash", "-ec", recipe)
+        before = len(robot.bed.transfers)
+        robot.box.run("bash", "-ec", f"systemctl daemon-reload; systemctl start --no-block {units}")
+        wait_for_stops(robot.bed, since=before)
+        assert robot.unit.property("ActiveState") == "inactive"
+        robot.box.run("systemctl", "kill", "disk.service")  # as when its time is over
+        robot.unit.systemctl("start")
+        assert "Emergency stop: nothing runs" in robot.gateway("status")
+    finally:
+        undo = "systemctl disable hexapod-stops; rm -r /etc/systemd/system/hexapod-gateway.service.d"
+        undo += " /etc/systemd/system/hexapod-stops.service /run/systemd/system/srv-hexapod.mount"
+        undo += " /run/systemd/system/disk.service; systemctl kill disk.service"
+        robot.box.run("bash", "-c", f"systemctl cancel; {undo}; systemctl daemon-reload")
+
+
 def test_no_framing(robot: InstalledGateway) -> None:
     """Neither the service nor stop-servos guesses: exit code 2, said twice in three lines, and nothing on the wire."""
     before = len(robot.bed.transfers)
