@@ -278,6 +278,17 @@ def console(
             "--phone", help="Serve a phone in this network: print a QR code, and make a certificate if there is none."
         ),
     ] = False,
+    camera: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="[NAME=]URL",
+            envvar="HEXAPOD_CONSOLE__CAMERA",
+            help="A camera's MJPEG stream, to drive by. Repeatable.",
+        ),
+    ] = None,
+    camera_stale_ms: Annotated[
+        float, typer.Option(metavar="MS", min=0, help="An older picture moves nothing; 0: any does.")
+    ] = 500.0,
     link: Annotated[
         bool, typer.Option("--link", help="Print a link to the running console (at --listen), for another browser.")
     ] = False,
@@ -296,7 +307,10 @@ def console(
 
     if sign_out or link:
         sys.exit(command.sign_out() if sign_out else command.link(listen))
-    options = Options(reach, listen, cert, key, role, geometry, adapt, open_browser, phone, tuple(host or ()))
+    names, streams = tuple(host or ()), tuple(camera or ())
+    options = Options(
+        reach, listen, cert, key, role, geometry, adapt, open_browser, phone, names, streams, camera_stale_ms
+    )
     command.console(options)
 
 

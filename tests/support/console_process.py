@@ -97,12 +97,12 @@ class SignedIn(NamedTuple):
 NOBODY: Final = SignedIn("", "")
 
 
-def _opened(url: str, session: SignedIn, verify: ssl.SSLContext | None) -> ClientConnection:
+def opened(url: str, session: SignedIn, verify: ssl.SSLContext | None = None, path: str = "ws?") -> ClientConnection:
     """A page's WebSocket; dialled again, as a page does, where a busy machine took longer than the console's 5 s."""
 
     def dial() -> ClientConnection:
         return connect(
-            f"{url.replace('http', 'ws', 1)}/ws?{session.shown(url, verify)}",
+            f"{url.replace('http', 'ws', 1)}/{path}{session.shown(url, verify)}",
             additional_headers={"Cookie": session.cookie, "Origin": url},
             ssl=verify,
             compression=None,
@@ -133,7 +133,7 @@ class Page(Closing):
         """Every message so far, as it came."""
         self._kept: defaultdict[str, deque[dict[str, Any]]] = defaultdict(deque)
         with ExitStack() as stack:
-            self.socket: ClientConnection = stack.enter_context(_opened(url, session, verify))
+            self.socket: ClientConnection = stack.enter_context(opened(url, session, verify))
             self.hello = self.wait("hello")
             self.send(type="alive", now_ms=self.now_ms())
             self._stack = stack.pop_all()

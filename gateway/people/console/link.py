@@ -168,3 +168,5 @@ class Shared:
     terrain: str
     """The terrain of every page's walk."""
     new_link: Callable[[], str]
+    stale_ms: float = 0.0
+    """Of a page that shows a camera: an older picture moves nothing; 0: any moves."""

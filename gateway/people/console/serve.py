@@ -5,10 +5,12 @@ import getpass
 import logging
 import os
 import socket
+import struct
 import sys
 import threading
+import time
 import webbrowser
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from functools import partial
 from html import escape
@@ -30,7 +32,8 @@ from gateway.people.console.link import STACK_BYTES, GatewayLink, Shared
 from gateway.people.console.pages.page_messages import ROLES, Role, json_of, least
 from gateway.people.console.pages.page_tasks import EndError, Stops, send_stopping
 from gateway.people.console.pages.pages import Page, Pages
-from gateway.people.console.server.auth import Auth
+from gateway.people.console.server.auth import CAMERA, Auth
+from gateway.people.console.server.camera import MAX_CAMERAS, Camera, Picture, cameras
 from gateway.people.console.server.listener import MAX_CONNECTIONS, HttpListener, WebSocket
 from gateway.people.console.server.sessions import LINK_S, Entry, Sessions
 from gateway.people.console.server.site import LOCALHOST, Options, Site, listening
@@ -49,15 +52,23 @@ SIT_S: Final = 3.5
 CHECK_S: Final = 1.0
 """The period in which each page's session is checked."""
 SIGNED_OUT: Final = "signed out"
+NEXT: Final = "next"
+"""A page's text on a camera's WebSocket: it shows the picture that it has, and wants a newer one."""
 
 
 class Console:
     """Serves the pages, with what they share."""
 
-    def __init__(self, sessions: Sessions, pages: Pages, shared: Shared) -> None:
+    def __init__(self, sessions: Sessions, pages: Pages, shared: Shared, found: Mapping[str, Camera]) -> None:
+        """`found`: the cameras by name."""
         self._sessions = sessions
         self._pages = pages
         self._shared = shared
+        self._cameras = found
+        self._showing: set[WebSocket] = set()
+        """Those of cameras."""
+        self._by_number: dict[tuple[str, str], Page] = {}
+        """The open pages, by session and number."""
         self._lying: dict[int, float] = {}
         with suppress(WalkError):  # one that cannot lie
             self._lying = lying_deg(Robot(shared.geometry))
@@ -65,6 +76,8 @@ class Console:
 
     async def serve(self, request: web.BaseRequest, session: Entry) -> web.StreamResponse:
         """Answer a page's WebSocket; return once the WebSocket has ended."""
+        if request.path.startswith(CAMERA):
+            return await self._serve_camera(request, session)
         if len(self._open) >= MAX_PAGES + MAX_CLOSING:
             return web.Response(status=503)
         websocket = WebSocket()
@@ -79,18 +92,55 @@ class Console:
             self._open.discard(websocket)
         return websocket
 
+    async def _serve_camera(self, request: web.BaseRequest, session: Entry) -> web.StreamResponse:
+        camera = self._cameras.get(request.path.removeprefix(CAMERA))
+        if camera is None or len(self._showing) >= MAX_PAGES:
+            return web.Response(status=404 if camera is None else 503)
+        page = self._by_number.get((session.sha256, request.query.get("page", "")))
+        websocket = WebSocket()
+        self._showing.add(websocket)
+        try:
+            await websocket.prepare(request)
+            with camera.shown():
+                await self._send_pictures(websocket, session, camera, page)
+        except (ConnectionError, TimeoutError):
+            pass
+        except EndError as ends:
+            await websocket.end(WSCloseCode.POLICY_VIOLATION, str(ends))
+        finally:
+            self._showing.discard(websocket)
+        return websocket
+
+    async def _send_pictures(self, websocket: WebSocket, session: Entry, camera: Camera, page: Page | None) -> None:
+        """Send one picture for each `next`; while there is none, the reason as text. Raises what `WebSocket` does."""
+        sent: Picture | None = None
+        while True:
+            if await websocket.take() != NEXT:
+                raise EndError(f"a page sends {NEXT} here")
+            if sent is not None and page is not None:
+                page.camera.confirm(camera.name, sent.taken_ns)
+            while (found := await camera.newer(sent, CHECK_S)) is None:
+                self._check_once(session)
+                await websocket.put(camera.trouble)
+            self._check_once(session)
+            age_ms = (time.monotonic_ns() - found.taken_ns) / 1e6
+            await websocket.put_picture(struct.pack("<f", age_ms) + found.jpeg)
+            sent = found
+
     async def close(self) -> None:
         """Close all pages, and release their leases. No page is waited for longer than a second (`WebSocket.end`)."""
         pages = [*self._pages]
         why = WSCloseCode.SERVICE_RESTART, "the console ends"
-        ends = [websocket.end(*why) for websocket in self._open if websocket.prepared]
+        ends = [websocket.end(*why) for websocket in self._open | self._showing if websocket.prepared]
         await asyncio.gather(*ends, return_exceptions=True)
         await asyncio.gather(*(page.release() for page in pages))
 
     async def _serve_page(self, websocket: WebSocket, session: Entry, tab: str) -> None:
         """`tab`: the browser's, by a name that it gave itself: the same after a reload. Empty: it gave none."""
         tab = f"{session.sha256} {tab[:32]}" if tab.isalnum() else ""
-        page = Page(self._pages.next_number(), session.role, self._shared, self._pages.former(tab))
+        number = self._pages.next_number()
+        page = Page(number, session.role, self._shared, self._pages.former(tab))
+        self._by_number[session.sha256, str(number)] = page
         hello = {
             "type": "hello",
             "role": session.role,
@@ -102,6 +152,9 @@ class Console:
             "lying": self._lying,
             "gaits": tuple(GAITS),
             "last_id": page.last_id,
+            "page": number,
+            "cameras": tuple(self._cameras),
+            "stale_ms": self._shared.stale_ms,
         }
         self._pages.add(page)
         why = ""
@@ -117,6 +170,7 @@ class Console:
             why = str(ends.exceptions[0])
         finally:
             self._pages.remove(page, tab)
+            del self._by_number[session.sha256, str(number)]
             page.close()
         if why:
             await websocket.end(WSCloseCode.POLICY_VIOLATION, why)
@@ -132,14 +186,17 @@ class Console:
 
     async def _check(self, session: Entry) -> None:
         while True:
-            if not self._sessions.still_valid(session):
-                raise EndError(SIGNED_OUT)
+            self._check_once(session)
             await asyncio.sleep(CHECK_S)
+
+    def _check_once(self, session: Entry) -> None:
+        if not self._sessions.still_valid(session):
+            raise EndError(SIGNED_OUT)
 
 
 OWN_DESCRIPTORS: Final = 96
 """Descriptors for the Zenoh session, four more sessions for STOP ALL, four for other Stops, a reserve, and files."""
-DESCRIPTORS: Final = MAX_CONNECTIONS + MAX_PAGES + MAX_CLOSING + OWN_DESCRIPTORS
+DESCRIPTORS: Final = MAX_CONNECTIONS + 2 * MAX_PAGES + MAX_CLOSING + MAX_CAMERAS + OWN_DESCRIPTORS
 """More than the places for connections, so that no flood of connections takes all."""
 
 _log: Final = logging.getLogger(__name__)
@@ -166,6 +223,7 @@ def serve(options: Options, site: Site, passed: Sequence[socket.socket]) -> NoRe
     realtime.limit_malloc_arenas()
     threading.stack_size(STACK_BYTES)
     door = phone.door(site) if options.phone else None
+    cameras(options.cameras)  # a fault in them is reported before the port is taken
     with listening(site, passed) as sockets, listening(door) if door else nullcontext(()) as doors:
         logs.set_up()  # from now on another thread writes the log: no slow reader delays this process
         found = Sessions(console_state(), site.port)
@@ -201,7 +259,16 @@ async def _run(
     console = Console(
         found,
         pages,
-        Shared(owner.person, gateway, stops, geometry, "adapt" if options.adapt else "level", found.new_link),
+        Shared(
+            owner.person,
+            gateway,
+            stops,
+            geometry,
+            "adapt" if options.adapt else "level",
+            found.new_link,
+            options.camera_stale_ms,
+        ),
+        cameras(options.cameras),
     )
     auth = Auth(site, found)
     sys.setswitchinterval(realtime.SWITCH_INTERVAL_S)  # Zenoh's threads and those that ask share the interpreter

@@ -67,6 +67,8 @@ class Wish(NamedTuple):
     height_m: float | None = None
     """The body's height; None: the usual height."""
     sits: bool = False
+    barred: str = ""
+    """Why its velocity may not be driven now. This uses up the press."""
 
 
 USUAL_SILENCES: Final = Silences()
@@ -204,6 +206,8 @@ class Ride:
         if wish.press > self._press:
             self._press, self._pressed_s, self.detail = wish.press, now_s, ""
             self.start_again()
+        if wish.barred and wish.velocity.moves and not wish.sits and wish.press > self.spent:
+            self._spend(wish.barred)
         if self.over or self.error is not None:
             return
         if wish.press <= self.spent or self._leaving:

@@ -515,3 +515,30 @@ class AnyOrder(RuleBasedStateMachine):
 
 AnyOrder.TestCase.settings = settings(max_examples=25, stateful_step_count=16, deadline=None)
 TestAnyOrder = AnyOrder.TestCase
+
+
+# ---- a wish that a picture bars
+
+
+def test_a_barred_wish_stands_and_only_a_new_press_goes_on_while_stand_and_sit_do_not_depend_on_it() -> None:
+    ridden = standing(PAGE)
+    ride, why = ridden.ride, "the picture is 0.7 s old"
+
+    def holds(seconds: float, wish: Wish) -> None:
+        for _ in range(round(seconds / TICK_S)):
+            ride.wish(wish, ridden.now_s)
+            ridden.tick()
+
+    holds(1.0, Wish(1, AHEAD))
+    assert ridden.posture is Posture.WALKING
+    holds(0.1, Wish(1, AHEAD, barred=why))
+    assert (ride.state.commanded, ride.detail, ride.spent) == (STILL, why, 1)
+    holds(2.0, Wish(1, AHEAD))
+    assert (ridden.posture, ride.detail) == (Posture.STANDING, why)
+    holds(1.0, Wish(2, height_m=0.13, barred=why))
+    assert ride.detail == ""
+    assert ride.body.height_m == pytest.approx(0.13)
+    holds(1.0, Wish(3, AHEAD, height_m=0.13))
+    holds(3.0, Wish(4, AHEAD, sits=True, barred=why))
+    assert ridden.ride.over
+    assert not ridden.running

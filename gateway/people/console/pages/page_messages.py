@@ -171,6 +171,13 @@ class WalkWish(Closed):
     sits: bool = False
 
 
+class CameraMessage(Closed):
+    """The camera that the page shows from now on; null: none. A page that shows one moves nothing by an old picture."""
+
+    type: Literal["camera"]
+    shown: Annotated[str, Field(max_length=20)] | None
+
+
 class StopButtonRequest(Closed):
     """Register, check in or leave as a stop button (`hexapod/button/cmd`); answered by `button`.
 
@@ -203,6 +210,7 @@ FromPage = (
     | CalibrateRequest
     | WalkWish
     | StopButtonRequest
+    | CameraMessage
     | PlainRequest
 )
 FROM_PAGE: Final[TypeAdapter[FromPage]] = TypeAdapter(Annotated[FromPage, Field(discriminator="type")])

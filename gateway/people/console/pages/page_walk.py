@@ -55,8 +55,8 @@ class PageWalks:
         """Whether a walk of this page may run legs."""
         self._changed = threading.Condition()
         """Held for an assignment at a time only, since the pages' loop takes it too."""
-        self._wish: tuple[WalkWish, float] | None = None
-        """The newest wish that was not used yet, and when it came."""
+        self._wish: tuple[WalkWish, float, str] | None = None
+        """The newest wish that was not used yet, when it came, and why its press may not be driven."""
         self._newest: WalkWish
         """The newest wish that was used."""
         self._spent = -1
@@ -64,18 +64,24 @@ class PageWalks:
         self._ending = False
         self._then: list[Callable[[], None]] = []
 
-    def take(self, wish: WalkWish, token: str | None) -> None:
-        """Store a fresh wish, or begin a walk by it. `token` is the page's lease; without it no walk begins."""
+    def take(self, wish: WalkWish, token: str | None, barred: str = "") -> None:
+        """Store a fresh wish, or begin a walk by it. `token` is the page's lease; without it no walk begins.
+
+        `barred`: why nothing may be driven by the page's picture; "" if it may.
+        """
         if not self.active and (wish.press <= self._spent or wish.sits):
             return
         with self._changed:
-            self._wish = wish, time.monotonic()
+            if self._wish is not None and self._wish[0].press == wish.press:
+                barred = barred or self._wish[2]  # it was, and only a new press goes on
+            self._wish = wish, time.monotonic(), barred
             self._changed.notify()
         if self.active:
             return
         self._newest, self._spent, self._ending = wish, wish.press, False
-        if token is None:
-            self.send(walk_message(wish.press, "this page does not have the lease"))
+        why = "this page does not have the lease" if token is None else barred if _velocity(wish).moves else ""
+        if token is None or why:
+            self.send(walk_message(wish.press, why))
             return
         try:
             threading.Thread(target=self._run, args=(token,), name=self._name, daemon=True).start()
@@ -150,9 +156,8 @@ class PageWalks:
                 self._changed.wait(WISH_WAIT_S)
             taken, self._wish = self._wish, None
         if taken is not None:
-            self._newest, came_s = new, _ = taken
-            velocity = Velocity(new.forward_m_s, new.left_m_s, new.turn_rad_s)
-            wish = Wish(new.press, velocity, new.gait, new.height_m, new.sits)
+            self._newest, came_s, barred = new, *_ = taken
+            wish = Wish(new.press, _velocity(new), new.gait, new.height_m, new.sits, barred)
             walk.use(lambda ride, _: ride.wish(wish, came_s))
         if self._ending:
             walk.use(Ride.leave)
@@ -171,3 +176,7 @@ class PageWalks:
             ground=ground_now(state),
             waits=self._newest.press <= ride.spent,
         )
+
+
+def _velocity(wish: WalkWish) -> Velocity:
+    return Velocity(wish.forward_m_s, wish.left_m_s, wish.turn_rad_s)

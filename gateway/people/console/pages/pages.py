@@ -31,6 +31,7 @@ from gateway.people.client.live import Receiver
 from gateway.people.console.link import Shared
 from gateway.people.console.pages import page_messages as messages
 from gateway.people.console.pages.page_calibration import PageCalibration
+from gateway.people.console.pages.page_camera import PageCamera
 from gateway.people.console.pages.page_lease import PageLease, StopButton
 from gateway.people.console.pages.page_tasks import EndError, Outgoing, PageTasks, Stops, now_ns
 from gateway.people.console.pages.page_walk import WISH_SILENT_S, PageWalks
@@ -182,6 +183,7 @@ class Page:
         """Its name in states and events."""
         self.names: tuple[str, ...] = (*(() if former is None else former.names), self.source)[-MAX_NAMES:]
         self.outgoing = Outgoing()
+        self.camera = PageCamera(shared.stale_ms)
         self._role = role
         self._shared = shared
         self._former = former
@@ -224,6 +226,8 @@ class Page:
         if isinstance(message, messages.AliveMessage):
             self._is_late(message.now_ms)
             self._is_late(message.now_ms, self._wishes)
+        elif isinstance(message, messages.CameraMessage):
+            self.camera.show(message.shown)
         elif self._role != "operator" and not (self._role == "button" and stops):
             raise EndError("this page only looks" + (", and stops" if self._role == "button" else ""))
         else:
@@ -279,7 +283,8 @@ class Page:
                 self._drive(message)
             case messages.WalkWish():
                 if self._is_late(message.sent_ms, self._wishes) is None:
-                    self._walks.take(message, self._lease.token if self._lease.mine else None)
+                    token = self._lease.token if self._lease.mine else None
+                    self._walks.take(message, token, self.camera.bars(time.monotonic_ns()))
             case messages.PlainRequest(type="upright"):
                 self._ask(message.id, self._link.set_upright)
             case messages.StopButtonRequest():
@@ -299,10 +304,10 @@ class Page:
 
     def _command(self, message: messages.CommandRequest) -> None:
         payload = self._signed(message.payload.model_dump(mode="json", exclude_none=True), message.sent_ms)
-        late = self._is_late(message.sent_ms)
+        late = self._is_late(message.sent_ms) or self.camera.bars(time.monotonic_ns())
         if message.only_stops:  # accepted at any age, and sent again until it is answered
             self._stop(message, {**payload, "sent_ms": None})
-        elif late is not None:
+        elif late:
             self._reject(message.id, message.key, late)
         elif self._walks.active:
             if message.id is not None:

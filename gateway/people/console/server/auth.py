@@ -34,6 +34,8 @@ from gateway.people.console.server.site import Site
 
 PAGE: Final = Path(__file__).parents[1] / "page"
 WEBSOCKET: Final = "/ws"
+CAMERA: Final = "/camera/"
+"""The beginning of the path of each camera's WebSocket."""
 NONCE_NS: Final = 10 * NS_PER_S
 """A page opens its WebSocket as soon as it receives the nonce."""
 COOKIE_S: Final = 30 * 24 * 3600
@@ -100,7 +102,7 @@ class Auth:
         found = await self._admit(url, headers)
         if isinstance(found, web.Response):
             found.force_close()
-        elif url.path == WEBSOCKET:
+        elif _is_websocket(url):
             return found
         elif url.path == "/session":
             nonce = self._nonces.issue(secrets.token_hex(16), time.monotonic_ns())
@@ -120,14 +122,14 @@ class Auth:
             return web.Response(
                 status=403, text="this console is not known by that name; console --host NAME admits it"
             )
-        if (url.path == WEBSOCKET or origin is not None) and not self._site.is_own(origin, host):
+        if (_is_websocket(url) or origin is not None) and not self._site.is_own(origin, host):
             return web.Response(status=403, text="only the console's own page may come here")
         if url.path == "/" and "token" in url.query:
             return await self._exchange(self._site.cookie_at(host), *url.query["token"].partition(",")[::2])
         if url.path in PUBLIC:
             return self._files[url.path].response(headers)
         entry = self._sessions.cookie(_cookie(headers, self._site.cookie_at(host)))
-        if entry is not None and (url.path != WEBSOCKET or self._is_proved(entry, url.query)):
+        if entry is not None and (not _is_websocket(url) or self._is_proved(entry, url.query)):
             return entry
         return self._refused("You are not signed in.")
 
@@ -158,6 +160,10 @@ class Auth:
 def proof(key_sha256: str, text: str) -> str:
     """Return an HMAC in hex that proves knowledge of the key with this SHA-256, as `key.js` makes it."""
     return hmac.new(key_sha256.encode(), text.encode("utf-8", "surrogatepass"), hashlib.sha256).hexdigest()
+
+
+def _is_websocket(url: URL) -> bool:
+    return url.path == WEBSOCKET or url.path.startswith(CAMERA)
 
 
 def _cookie(headers: MultiMapping[str], name: str) -> str:

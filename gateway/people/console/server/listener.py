@@ -51,6 +51,8 @@ FRAMES_AT_ONCE: Final = 150
 """A page whose network stalled for a second sends the waiting frames at once."""
 PING_S: Final = 20.0
 """A page that has sent nothing for this long is pinged, and closed after half as long again."""
+PICTURE_S: Final = 20.0
+"""The longest time for one picture: 1 MB at 0.4 Mbit/s."""
 SEND_S: Final = 5.0
 """A page that does not read for this long, while its socket is full, is closed."""
 
@@ -226,6 +228,11 @@ class WebSocket(web.WebSocketResponse):
         """Send a message, and wait for room for the next one. Raises ConnectionError, TimeoutError."""
         async with asyncio.timeout(SEND_S):
             await self.send_str(text)
+
+    async def put_picture(self, data: bytes) -> None:
+        """Send a picture, and wait until the system has taken it. Raises ConnectionError, TimeoutError."""
+        async with asyncio.timeout(PICTURE_S):
+            await self.send_bytes(data)
 
     async def end(self, code: int, reason: str) -> None:
         """Close it with this reason, at most 123 characters; a page that does not read gets none."""

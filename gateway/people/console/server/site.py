@@ -280,5 +280,8 @@ class Options:
     phone: bool = False
     hosts: tuple[str, ...] = ()
     """Further names by which browsers may reach it."""
+    cameras: tuple[str, ...] = ()
+    """Each `URL` or `NAME=URL` of an MJPEG stream."""
+    camera_stale_ms: float = 500.0
     card: str = ""
     """The card of the page to which the first link leads; empty: the page's start."""

@@ -1,0 +1,36 @@
+"""What one page shows of a camera, and whether somebody may drive by it. Pure.
+
+The console decides by what it knows: a picture is shown once the page has asked for the next one. So a page that hangs,
+or whose picture does not arrive, moves nothing.
+"""
+
+from gateway.allowance import NS_PER_MS
+
+
+class PageCamera:
+    """The camera that one page shows. `now_ns` is the console's monotonic clock."""
+
+    def __init__(self, stale_ms: float) -> None:
+        """`stale_ms`: an older picture moves nothing; 0: any moves."""
+        self._stale_ns = stale_ms * NS_PER_MS
+        self._name: str | None = None
+        self._taken_ns: int | None = None
+
+    def show(self, name: str | None) -> None:
+        """Record that the page shows this camera from now on; None: it shows none."""
+        if name != self._name:
+            self._name, self._taken_ns = name, None
+
+    def confirm(self, name: str, taken_ns: int) -> None:
+        """Record that the page shows a picture that was taken then."""
+        if name == self._name:
+            self._taken_ns = taken_ns
+
+    def bars(self, now_ns: int) -> str:
+        """Return why nothing may be driven by the picture, without a full stop; "" if it may."""
+        if self._name is None or not self._stale_ns:
+            return ""
+        if self._taken_ns is None:
+            return "there is no picture yet; wait for it, or hide the camera"
+        age_ns = now_ns - self._taken_ns
+        return "" if age_ns < self._stale_ns else f"the picture is {age_ns / 1e9:.1f} s old"

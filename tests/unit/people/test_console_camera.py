@@ -1,0 +1,260 @@
+"""A camera's stream is cut into pictures of known age; whatever else a server sends costs a bounded amount."""
+
+import asyncio
+import time
+from collections.abc import Callable, Iterator
+from http.server import BaseHTTPRequestHandler
+from typing import Final
+
+import pytest
+
+from gateway.errors import ConfigError
+from gateway.people.console.pages.page_camera import PageCamera
+from gateway.people.console.server import camera
+from gateway.people.console.server.camera import MAX_JPEG_BYTES, Ages, Camera, CameraError, Mjpeg, cameras
+from tests.support.camera_server import BOUNDARY, CameraServer, begin, jpeg, part
+
+S: Final = 1_000_000_000
+MS: Final = 1_000_000
+ONE, TWO = jpeg(1), jpeg(2)
+BARE: Final = b"Content-Type: image/jpeg\r\n\r\n"
+
+
+@pytest.mark.parametrize("chunk", [1, 7, 100_000])
+@pytest.mark.parametrize(
+    ("boundary", "stream"),
+    [
+        ("frame", BOUNDARY + part(ONE) + part(TWO)),
+        ("--frame", BOUNDARY + part(ONE) + part(TWO)),
+        ("frame", BOUNDARY + BARE + ONE + BOUNDARY + BARE + TWO + BOUNDARY),
+        ("frame", b"a preamble" + BOUNDARY + part(ONE, X_Other="a: b") + part(TWO)),
+    ],
+    ids=["by length", "dashes in the boundary", "without a length", "preamble"],
+)
+def test_a_stream_is_cut_into_its_pictures_wherever_its_chunks_end(boundary: str, stream: bytes, chunk: int) -> None:
+    found = Mjpeg(boundary)
+    pictures = [each.jpeg for at in range(0, len(stream), chunk) for each in found.feed(stream[at : at + chunk])]
+    assert pictures == [ONE, TWO]
+
+
+LARGE: Final = jpeg(1, MAX_JPEG_BYTES)
+
+
+@pytest.mark.parametrize(
+    ("stream", "why"),
+    [
+        (b"x" * 5000, "no picture that begins"),
+        (BOUNDARY + b"X: " + b"y" * 5000, "no picture that begins"),
+        (BOUNDARY + b"Content-Type: text/html\r\n\r\n", "other than JPEGs"),
+        (BOUNDARY + part(b"GIF89a"), "other than JPEGs"),
+        (BOUNDARY + part(b"", Content_Length=10**12), "more than 1 MB"),
+        (BOUNDARY + BARE + LARGE, "more than 1 MB"),
+        (BOUNDARY + BARE + LARGE + BOUNDARY, "more than 1 MB"),
+    ],
+)
+def test_anything_but_jpegs_ends_the_stream_with_a_sentence(stream: bytes, why: str) -> None:
+    with pytest.raises(CameraError, match=why):
+        list(Mjpeg("frame").feed(stream))
+
+
+# ---- ages
+
+
+def test_a_picture_that_was_delayed_on_its_way_is_older_by_its_servers_clock() -> None:
+    ages = Ages()
+    assert ages.taken_ns({"x-timestamp": "1000"}, 50 * S) == 50 * S
+    assert ages.taken_ns({"x-timestamp": "1000.1"}, 51 * S) == pytest.approx(50.1 * S, abs=MS)
+    assert ages.taken_ns({"x-timestamp": "1002"}, 52 * S) == pytest.approx(52 * S, abs=MS)
+
+
+def test_what_the_server_states_of_its_camera_counts() -> None:
+    assert Ages().taken_ns({"x-timestamp": "1000", "x-ustreamer-latency": "0.25"}, 50 * S) == 49.75 * S
+    assert Ages().taken_ns({"x-timestamp": "yesterday", "x-ustreamer-latency": "-3"}, 50 * S) == 50 * S
+
+
+def test_drifting_clocks_make_no_picture_old_and_a_clock_that_is_set_begins_anew() -> None:
+    ages = Ages()
+    for at_s in range(0, 36_000, 100):
+        taken_ns = ages.taken_ns({"x-timestamp": str(1000 + at_s * (1 - 100e-6))}, at_s * S)
+        assert taken_ns == pytest.approx(at_s * S, abs=MS)
+    with pytest.raises(CameraError, match="clock was set"):
+        ages.taken_ns({"x-timestamp": "1000"}, 36_000 * S)
+
+
+def test_a_page_is_barred_by_the_picture_that_it_shows() -> None:
+    page = PageCamera(500)
+    assert page.bars(0) == ""
+    page.show("front")
+    assert "there is no picture yet" in page.bars(0)
+    page.confirm("rear", 0)
+    assert "there is no picture yet" in page.bars(0)
+    page.confirm("front", 0)
+    page.show("front")
+    assert page.bars(499 * MS) == ""
+    assert page.bars(500 * MS) == "the picture is 0.5 s old"
+    assert page.bars(720 * MS) == "the picture is 0.7 s old"
+    page.show("rear")
+    assert "there is no picture yet" in page.bars(0)
+    page.show(None)
+    assert page.bars(720 * MS) == ""
+
+
+def test_zero_bars_nothing() -> None:
+    page = PageCamera(0)
+    page.show("front")
+    assert page.bars(10 * S) == ""
+
+
+# ---- the option
+
+
+def test_cameras_have_names_and_addresses() -> None:
+    found = cameras(["http://127.0.0.1:8081/?action=stream", "rear=https://user:pass@cam.example/mjpeg?a=b"])
+    assert [*found] == ["camera", "rear"]
+
+
+@pytest.mark.parametrize(
+    ("given", "why"),
+    [
+        (["front=ftp://a/b"], "no URL"),
+        (["/dev/video0"], "no URL"),
+        (["http://"], "no URL"),
+        (["http://[::1/x"], "no URL"),
+        (["http://a/\n"], "no URL"),
+        (["http://a/1", "http://a/2"], "two cameras need two names"),
+        ([f"c{number}=http://a/" for number in range(5)], "4 cameras at most"),
+    ],
+)
+def test_a_camera_that_cannot_be_fetched_is_rejected_without_its_password(given: list[str], why: str) -> None:
+    with pytest.raises(ConfigError, match=why):
+        cameras(given)
+
+
+# ---- a real server
+
+
+@pytest.fixture
+def server() -> Iterator[CameraServer]:
+    with CameraServer() as running:
+        yield running
+
+
+@pytest.fixture(autouse=True)
+def _quickly(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(camera, "SILENT_S", 0.3)
+    monkeypatch.setattr(camera, "AGAIN_S", 0.02)
+
+
+async def trouble(found: Camera) -> str:
+    """Wait for a sentence."""
+    last: camera.Picture | None = None
+    async with asyncio.timeout(20):
+        while not found.trouble:
+            last = await found.newer(last, 0.01) or last
+        return found.trouble
+
+
+async def picture(found: Camera) -> camera.Picture:
+    """Wait for a picture."""
+    newer = await found.newer(None, 20)
+    assert newer is not None
+    return newer
+
+
+async def test_pictures_are_fetched_once_for_all_and_only_while_a_page_shows_them(server: CameraServer) -> None:
+    found = cameras([server.url])["camera"]
+    assert server.requests == 0
+    with found.shown(), found.shown():
+        first = await picture(found)
+        second = await found.newer(first, 20)
+        assert second is not None
+        assert second.jpeg > first.jpeg
+        assert 0 <= time.monotonic_ns() - second.taken_ns < S
+    assert server.requests == 1
+    with found.shown():
+        assert (await picture(found)).taken_ns > second.taken_ns
+    assert server.requests == 2
+
+
+def endless(handler: BaseHTTPRequestHandler) -> None:
+    begin(handler)
+    while True:
+        handler.wfile.write(b"x" * 65536)
+
+
+def drips(server: CameraServer, handler: BaseHTTPRequestHandler) -> None:
+    begin(handler)
+    for _ in server.ticks():
+        handler.wfile.write(b"x")
+
+
+def moved(handler: BaseHTTPRequestHandler, to: str) -> None:
+    handler.send_response(302)
+    handler.send_header("Location", to)
+    handler.end_headers()
+
+
+def sends(handler: BaseHTTPRequestHandler, data: bytes) -> None:
+    begin(handler)
+    handler.wfile.write(data)
+
+
+BAD: Final[dict[str, Callable[[CameraServer, BaseHTTPRequestHandler], object]]] = {
+    "no picture that begins": lambda _, to: endless(to),
+    "has sent no picture for": drips,
+    "redirects to another host": lambda _, to: moved(to, "http://192.0.2.1/stream"),
+    "redirects again and again": lambda _, to: moved(to, "/stream"),
+    "HTTP status 404": lambda _, to: to.send_error(404),
+    "no MJPEG stream": lambda _, to: begin(to, "text/html"),
+    "more than 1 MB": lambda _, to: sends(to, part(LARGE)),
+    "other than JPEGs": lambda _, to: sends(to, part(b"GIF89a")),
+    "has ended its stream": lambda _, to: sends(to, b""),
+    "is not connected to its server": lambda _, to: sends(to, part(ONE, X_UStreamer_Online="false")),
+    "cannot be reached": lambda _, to: to.wfile.write(b"\0" * 100_000),
+}
+
+
+@pytest.mark.parametrize("why", BAD)
+async def test_a_bad_server_is_named_in_a_sentence_and_tried_again(why: str, server: CameraServer) -> None:
+    server.answer = lambda handler: BAD[why](server, handler)
+    found = cameras([f"front={server.url}"])["front"]
+    with found.shown():
+        assert why in await trouble(found)
+        server.answer = None
+        await picture(found)
+        assert found.trouble == ""
+
+
+async def test_a_camera_that_stalls_is_named_and_the_last_picture_only_gets_older(server: CameraServer) -> None:
+    found = cameras([server.url])["camera"]
+    with found.shown():
+        await picture(found)
+        server.frozen.set()
+        assert "has sent no picture for" in await trouble(found)
+        server.frozen.clear()
+        await picture(found)
+
+
+async def test_a_picture_that_is_sent_again_byte_for_byte_is_as_old_as_before(server: CameraServer) -> None:
+    def repeats(handler: BaseHTTPRequestHandler) -> None:
+        begin(handler)
+        for number in server.ticks():
+            handler.wfile.write(part(jpeg(min(number, 5))))
+            if number == 30:
+                server.frozen.set()
+
+    server.answer = repeats
+    found = cameras([server.url])["camera"]
+    with found.shown():
+        last = await picture(found)
+        while last.jpeg != jpeg(5):
+            last = await found.newer(last, 20) or last
+        assert "has sent no picture" in await trouble(found)
+        assert (await picture(found)).taken_ns == last.taken_ns
+
+
+async def test_a_redirect_on_its_own_host_is_followed(server: CameraServer) -> None:
+    server.answer = lambda handler: server.stream(handler) if handler.path == "/live" else moved(handler, "/live")
+    found = cameras([server.url])["camera"]
+    with found.shown():
+        await picture(found)
