@@ -33,7 +33,7 @@ AGAIN_S: Final = 1.0
 """Pause before a camera is tried again."""
 MAX_REDIRECTS: Final = 3
 DRIFT: Final = 200e-6
-"""Twice the error of a bad crystal: so much do two clocks drift apart."""
+"""Twice the error of a bad crystal, since two clocks drift apart."""
 MAX_LATE_NS: Final = 5 * NS_PER_S
 """A picture that is later by its server's clock than this: that clock was set. A new connection begins anew."""
 UNNAMED: Final = "camera"
