@@ -52,7 +52,7 @@ class Picture(NamedTuple):
     taken_ns: int
 
 
-class Part(NamedTuple):
+class StreamPart(NamedTuple):
     """A part of a multipart stream; its headers in lower case."""
 
     headers: Mapping[str, str]
@@ -68,11 +68,11 @@ class Mjpeg:
         self._bytes = bytearray()
         self._headers: dict[str, str] | None = None
 
-    def feed(self, data: bytes) -> Iterator[Part]:
+    def feed(self, data: bytes) -> Iterator[StreamPart]:
         """Yield the parts that are complete. Raises CameraError for anything that is no stream of JPEGs."""
         self._bytes += data
         while (self._headers is not None or self._head()) and (jpeg := self._body()) is not None:
-            yield Part(self._headers or {}, jpeg)
+            yield StreamPart(self._headers or {}, jpeg)
             self._headers = None
 
     def _head(self) -> bool:
@@ -217,7 +217,7 @@ class Camera:
                 await asyncio.sleep(len(data) / BYTES_A_SECOND)
         raise CameraError("has ended its stream")
 
-    async def _take(self, part: Part, taken_ns: int) -> None:
+    async def _take(self, part: StreamPart, taken_ns: int) -> None:
         if part.headers.get("x-ustreamer-online", "true") != "true":
             raise CameraError("is not connected to its server")
         if self._newest is not None and self._newest.jpeg == part.jpeg:
