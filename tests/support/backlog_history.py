@@ -77,15 +77,13 @@ class BacklogHistory:
         others = [each for each in known if each.last_ns > since_ns]
         least_ns = since_ns + (rules.silence_ns if others else rules.start_wait_ns)
         least_ns = max([least_ns, *(each.first_ns + rules.start_wait_ns for each in known)])
-        if now_ns < least_ns:
-            return least_ns
         clumps = [each for each in known if each.score > 0]
-        if not clumps:
-            return True
-        silent_ns = max(each.last_ns for each in clumps) + rules.silence_ns
-        if silent_ns <= now_ns and max(each.messages for each in clumps) <= 3:
-            return True
+        silent_ns = max((each.last_ns + rules.silence_ns for each in clumps), default=now_ns)
         last_ns = max(min(silent_ns, since_ns + rules.proof_ns), self.taken_ns[servo_id] + 1)
+        if now_ns < least_ns:
+            return max(least_ns, last_ns) if clumps else least_ns
+        if not clumps or (silent_ns <= now_ns and max(each.messages for each in clumps) <= 3):
+            return True
         return last_ns if now_ns < last_ns else False
 
     def key(self, now_ns: int, waiting: Iterable[int]) -> tuple[object, ...]:
