@@ -35,7 +35,7 @@ def try_out(console: Sequence[str]) -> int:
     """Run both until the gateway has ended. Return its exit code. `console`: the console's options, or `no`."""
     children: list[subprocess.Popen[bytes]] = []
     ended = False
-    for each in _listens_on():  # before a second one says of state and black box that the first has them
+    for each in _listens_on():  # first: a second gateway would warn of the state and black box that the first holds
         if (fault := bind_fault(each)) is not None and fault.errno == errno.EADDRINUSE:
             hint(f"hexapod-gateway: {why_not_opened(str(fault), [each])}")
             return ZenohError.exit_code

@@ -77,7 +77,7 @@ class Notice:
 
 
 def is_gateways(path: str, *, unknown: bool = True) -> bool:
-    """Return whether a gateway has locked the device; `unknown` if the kernel does not tell.
+    """Return whether a gateway has locked the device; `unknown` if the kernel does not show it.
 
     Raises OSError if the device does not open.
     """
