@@ -63,14 +63,20 @@ class Robot:
     """A supervisor behind a model of the reader: a ring for each key, of which it reads the newest messages."""
 
     def __init__(
-        self, rules: Rules, *, each_ms: float = 0.1, wake_ms: float = 0.1, pauses: Sequence[tuple[float, float]] = ()
+        self,
+        rules: Rules,
+        *,
+        each_ms: float = 0.1,
+        wake_ms: float = 0.1,
+        pauses: Sequence[tuple[float, float]] = (),
+        timed: bool = False,
     ) -> None:
-        """`each_ms`: how long a message takes; `wake_ms`: how long the reader takes to wake up.
+        """`each_ms`: how long a message takes; `wake_ms`: how long the reader takes to wake up; `timed`: has `sent_ms`.
 
         During `pauses` (from, to; in ms) the machine is busy, and the reader does not run.
         """
         self.supervisor = Supervisor(rules)
-        self.each_ms, self.wake_ms, self.pauses = each_ms, wake_ms, pauses
+        self.each_ms, self.wake_ms, self.pauses, self.timed = each_ms, wake_ms, pauses, timed
         self.frames: list[tuple[float, int]] = []
         """When a frame moved which leg."""
         self.rejected: list[tuple[float, Rejected]] = []
@@ -118,7 +124,8 @@ class Robot:
                 self.read += [len(newest)] if newest else []
                 for each in newest:
                     angle = 90_00 + round(each.at_ms) % 1000
-                    command = Command(targets_of(key, ServoOp(each.op, angle)), key=key)
+                    sent_ms = each.at_ms if self.timed else None
+                    command = Command(targets_of(key, ServoOp(each.op, angle)), key=key, sent_ms=sent_ms)
                     command.verb = each.verb
                     self.commanded |= set(command.by_leg)
                     self._step(now_ms, command, instant_ms)

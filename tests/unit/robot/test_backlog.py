@@ -63,10 +63,10 @@ def runs(robot: Robot) -> None:
 @pytest.mark.parametrize("rate_hz", RATES_HZ)
 @pytest.mark.parametrize("keys", ALL_KEYS)
 def test_a_stream_runs_within_half_a_second_and_gets_its_frames(keys: str, rate_hz: float) -> None:
-    for starts, verb in product((True, False), (Verb.PUT, Verb.GET)):
-        for express in (True, False):
-            arrivals = [*stream(KEYS[keys], rate_hz, starts=starts, verb=verb, jitter_ms=0.2)]
-            runs(Robot(Rules(start_wait_ns=START_WAIT_NS)).run(arrivals if express else batched(arrivals), 1000))
+    for starts, verb, express, timed in product((True, False), (Verb.PUT, Verb.GET), (True, False), (True, False)):
+        arrivals = [*stream(KEYS[keys], rate_hz, starts=starts, verb=verb, jitter_ms=0.2)]
+        robot = Robot(Rules(start_wait_ns=START_WAIT_NS), timed=timed)
+        runs(robot.run(arrivals if express else batched(arrivals), 1000))
 
 
 @pytest.mark.parametrize(
