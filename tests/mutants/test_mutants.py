@@ -19,7 +19,7 @@ from tests.mutants.judges import JUDGES
 from tests.mutants.judging import Outcome, Subject, verdicts
 from tests.mutants.operators import operators
 
-SAMPLED: Final = ("spi/guard", "core/landing")
+SAMPLED: Final = ("spi/guard", "core/body_limits")
 """Files whose tests are quick, and notice each mutant of them that is not accepted."""
 
 
