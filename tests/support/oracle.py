@@ -403,6 +403,7 @@ class Oracle(RobotHistory):
             )
             leg.moved(now_ns, self.rules.period_ns)
         ready = self.ungated(leg_number)
+        staggered = self.rules.start_pause_ns > 0 and not transmit.frame.is_stop  # it repeats that a servo is off
         for servo_id, op in transmit.frame.servos:
             servo = self.servos[servo_id]
             if op.op is Op.STOP:
@@ -411,7 +412,7 @@ class Oracle(RobotHistory):
                     ends or not servo.on, f"{servo_id} is stopped though nobody asked, or in a frame that moves others"
                 )
                 demand(
-                    servo.want is None or servo_id not in ready,
+                    servo.want is None or servo_id not in ready or (staggered and not servo.on),
                     f"{servo_id} is stopped although a newer command wants it to move",
                 )
                 servo.rest(now_ns)
