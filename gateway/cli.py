@@ -20,7 +20,6 @@ from gateway.errors import ConfigError, GatewayError
 from gateway.host import output
 from gateway.model.frames import PROTOCOL_VERSION
 from gateway.onboard import check_command, incidents, setup_command
-from gateway.own_command import command as own_command
 from gateway.people import recorder
 from gateway.people.commands import certs, walk
 from gateway.people.commands.options import (
@@ -34,6 +33,7 @@ from gateway.people.commands.options import (
 from gateway.people.console import calibrate_command
 from gateway.people.ros2 import command as bridge
 from gateway.people.terminal import hint
+from gateway.words.own_command import command as own_command
 
 _PANELS = {
     "Stop": ("estop", "stop", "reset"),

@@ -23,16 +23,16 @@ from gateway.errors import (
     WalkError,
     ZenohError,
 )
-from gateway.own_command import DEFAULT_ENDPOINT
 from gateway.people.client.aio import AsyncButton, AsyncClient, AsyncLease, AsyncStream, AsyncWalk
 from gateway.people.client.blocking import Client, several_answer
 from gateway.people.client.lease import Lease
+from gateway.people.client.lease_requests import Button
 from gateway.people.client.pace import Jitter
 from gateway.people.client.payloads import calibration_payload, leg_payload, legs_payload, servo_payload
-from gateway.people.client.requests import Button
 from gateway.people.client.stream import Stream
 from gateway.people.client.walk import Walk
 from gateway.people.walking.motion import Odometry, Posture, WalkState
+from gateway.words.own_command import DEFAULT_ENDPOINT
 from schemas.telemetry import Ack, Battery, Event, FrameRecord, GatewayState, Imu, Kind, Reason, Telemetry
 
 __all__ = [

@@ -20,8 +20,8 @@ import re
 from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
-from gateway import limits
 from gateway.certs import BUTTON, LAPTOP_ROLES, OPERATOR
+from gateway.zenoh import limits
 from schemas import keys
 from schemas.keys import ALIVE, ALL_COMMANDS, ASKABLE, CALIBRATION, ESTOP, PUBLISHED, SIM_BODY, SIM_UPRIGHT
 

@@ -15,8 +15,8 @@ from cryptography import x509
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import ec, rsa
 
-from gateway import durable
 from gateway.errors import ConfigError
+from gateway.files import durable
 
 PUBLIC: Final = (".pem", ".json5", ".crl")
 """Names of the files that everybody may read. All others are secret."""

@@ -18,12 +18,12 @@ import zenoh
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from gateway import nesting
 from gateway.certs import LAPTOP_ROLES, LEAF_DAYS, access, authority, files, first_fault, how_to_renew, revocation
 from gateway.certs.authority import CA, CONSOLE, GATEWAY, Certificate, KeyPair, is_issued
 from gateway.certs.files import read_certificate
 from gateway.certs.revocation import RevocationList, Revoked
 from gateway.errors import ConfigError
+from gateway.files import nesting
 
 ROBOT: Final = "robot"
 ROBOT_FILES: Final = ("gateway.pem", "gateway.key", "ca.pem", "gateway.json5")

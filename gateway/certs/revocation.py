@@ -15,9 +15,9 @@ from typing import Any, Final, NamedTuple
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 
-from gateway import durable
 from gateway.certs.authority import KeyPair
 from gateway.errors import ConfigError
+from gateway.files import durable
 
 REVOCATION_FILE: Final = "revoked.crl"
 MAX_LIST_BYTES: Final = 1_000_000

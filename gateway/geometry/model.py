@@ -6,8 +6,8 @@ from typing import Annotated, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
-from gateway import durable
 from gateway.errors import ConfigError
+from gateway.files import durable
 from schemas.robot import LEGS, SERVO_IDS
 
 ELKAPOD: Final = Path(__file__).with_name("elkapod.json")

@@ -11,7 +11,7 @@ from contextlib import suppress
 from typing import Final, TypeVar
 
 from gateway.errors import ConfigError
-from gateway.limits import ACCEPT_PENDING, MAX_SESSIONS
+from gateway.zenoh.limits import ACCEPT_PENDING, MAX_SESSIONS
 
 OWN: Final = 48
 """Descriptors of the service itself: 22 with TLS, metrics and a real device, and room for files opened briefly."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from gateway import durable, nesting
+from gateway.files import durable, nesting
 from gateway.host.directories import SERVICE_RUNTIME, runtime_directory
 from gateway.host.settings_reader import ForStops, read_for_stops
 from gateway.host.settings_table import FOR_STOPS

@@ -25,7 +25,7 @@ from typing import Final
 
 from gateway.host.directories import runtime_directory
 from gateway.host.realtime import PAGE_PRIORITY, prefer_thread
-from gateway.text import visible
+from gateway.words.text import visible
 
 MAX_LINES_WAITING: Final = 1000
 """About 1 MB. Above this, lines are dropped."""

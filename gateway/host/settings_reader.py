@@ -19,7 +19,7 @@ from gateway.host.settings_table import (
     SpiSettings,
     WireSettings,
 )
-from gateway.text import echo, key_name
+from gateway.words.text import echo, key_name
 from schemas.robot import SERVO_IDS
 
 SERVOS: Final = frozenset(map(str, SERVO_IDS))

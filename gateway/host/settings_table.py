@@ -14,8 +14,8 @@ from typing import Any, Final, Literal, NamedTuple
 
 from gateway.model.frames import STOP_REPEAT_MS, STOP_REPEATS, Framing
 from gateway.model.protocols import BUILT_IN, FRAMED, SpiProtocol
-from gateway.text import key_name, visible
 from gateway.wire import GROUP, Capabilities, ServoWire
+from gateway.words.text import key_name, visible
 from schemas.keys import MAX_SOURCE
 from schemas.robot import SERVO_IDS
 

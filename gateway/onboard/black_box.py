@@ -10,16 +10,16 @@ import typer
 
 from gateway.errors import ConfigError, GatewayError
 from gateway.model.black_box import RING_FILE
-from gateway.own_command import this_command
-from gateway.people.recorder import ring_reader
-from gateway.people.recorder.export import write
-from gateway.people.recorder.incidents import Incident, find, time_of
-from gateway.people.recorder.messages import messages
-from gateway.people.recorder.ring_reader import Records
-from gateway.people.recorder.story import headline, story
+from gateway.people.incidents import ring_reader
+from gateway.people.incidents.export import write
+from gateway.people.incidents.find import Incident, find, time_of
+from gateway.people.incidents.messages import messages
+from gateway.people.incidents.ring_reader import Records
+from gateway.people.incidents.story import headline, story
 from gateway.people.terminal import say
 from gateway.robot.blackbox import ring as rings
 from gateway.robot.settings import Settings
+from gateway.words.own_command import this_command
 
 LAST: Final = "last"
 

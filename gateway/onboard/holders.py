@@ -10,7 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from gateway.endpoints import host_and_port
+from gateway.zenoh.endpoints import host_and_port
 
 _PROC: Final = Path("/proc")
 _DATAGRAMS: Final = ("udp", "quic")

@@ -18,8 +18,8 @@ from pathlib import Path
 from threading import Timer
 from typing import Final
 
-from gateway import durable
 from gateway.errors import ConfigError, GatewayError
+from gateway.files import durable
 from gateway.host.directories import CONFIGURATION, SERVICE_RUNTIME
 from gateway.host.settings_table import WireSettings
 

@@ -10,7 +10,6 @@ from typing import Final, NoReturn
 
 import zenoh
 
-from gateway import own_command
 from gateway.errors import GatewayError, SpiError, ZenohError
 from gateway.host.settings_table import SIMULATED
 from gateway.onboard.simulation_process import BoardProcess, BodyProcess
@@ -23,7 +22,8 @@ from gateway.robot.settings import Settings
 from gateway.robot.spi.stop_all import stop_before_service
 from gateway.robot.wires import SimulatedParts
 from gateway.simulation.body import endpoint
-from gateway.zenoh_config import listen_endpoints
+from gateway.words import own_command
+from gateway.zenoh.config import listen_endpoints
 
 PAUSE_S: Final = 11.0
 """(PAUSE_S + the unit's RestartSec) × its StartLimitBurst exceeds its StartLimitIntervalSec."""

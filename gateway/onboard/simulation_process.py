@@ -19,11 +19,11 @@ import zenoh
 
 from gateway.errors import ConfigError
 from gateway.host.shared_page import SensedPage, ServoPage
-from gateway.own_command import install
 from gateway.people.physics.assumed import Assumed
 from gateway.people.terminal import hint
 from gateway.robot.host.systemd import VARIABLES
 from gateway.simulation import body as simulated_body
+from gateway.words.own_command import install
 
 START_S: Final = 30.0
 """The slowest machine loads MuJoCo in less than 1 s."""

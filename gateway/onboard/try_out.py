@@ -15,14 +15,14 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Final
 
-from gateway import own_command
 from gateway.errors import ConfigError, ZenohError
-from gateway.own_command import command
 from gateway.people.terminal import hint, on_end_signals, say
 from gateway.robot import settings
 from gateway.robot.blackbox.ring import tried
 from gateway.robot.zenoh_io.session import bind_fault
-from gateway.zenoh_config import why_not_opened
+from gateway.words import own_command
+from gateway.words.own_command import command
+from gateway.zenoh.config import why_not_opened
 
 NO_CONSOLE: Final = "no"
 _COMMAND: Final = Path(sys.executable).with_name("hexapod-gateway")

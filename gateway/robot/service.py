@@ -17,7 +17,6 @@ from typing import Any, Final
 import zenoh
 
 from gateway import __version__, certs
-from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.errors import GatewayError
 from gateway.host import descriptors, effective, logs, realtime
 from gateway.host.directories import runtime_directory, state_directory
@@ -27,6 +26,7 @@ from gateway.host.worker import in_thread
 from gateway.model.black_box import STOP_FACTS
 from gateway.model.frames import centidegrees
 from gateway.model.protocols import called
+from gateway.rate_limit import NS_PER_MS, NS_PER_S
 from gateway.robot import wires
 from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.backlog import START_WAIT_NS

@@ -11,13 +11,13 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, Self
 
-from gateway import durable, nesting
 from gateway.errors import ConfigError
+from gateway.files import durable, nesting
 from gateway.host import settings_table
 from gateway.host.directories import CONFIGURATION
 from gateway.host.settings_reader import NO_SETTING, Fault, ForStops, VariableText, dotted, read, read_for_stops
 from gateway.model.frames import PROTOCOL_VERSION
-from gateway.own_command import CONNECT_VARIABLE
+from gateway.words.own_command import CONNECT_VARIABLE
 
 ENV_PREFIX: Final = "HEXAPOD_"
 

@@ -12,7 +12,7 @@ import zenoh
 
 from gateway.certs import access
 from gateway.errors import ConfigError
-from gateway.zenoh_config import RETRY, get, insert, listen_endpoints, scouting_and_shared_memory_off
+from gateway.zenoh.config import RETRY, get, insert, listen_endpoints, scouting_and_shared_memory_off
 
 SUBJECT: Final = "the simulated body"
 _LINK: Final = "unixsock-stream"

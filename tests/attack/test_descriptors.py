@@ -15,8 +15,8 @@ import pytest
 import zenoh
 
 from gateway.host.descriptors import NEEDED
-from gateway.limits import MAX_SESSIONS
 from gateway.robot.zenoh_io.connection_limiter import VISITORS, shut_down
+from gateway.zenoh.limits import MAX_SESSIONS
 from schemas.telemetry import Mode
 from tests.benchmarks.processes import fds
 from tests.hil.bed import SpiTestbed

@@ -10,7 +10,7 @@ import pytest
 import zenoh
 
 from gateway.client import Client
-from gateway.zenoh_config import client_config, open_session
+from gateway.zenoh.config import client_config, open_session
 from schemas import keys
 from schemas.telemetry import Mode
 from tests.support.fixtures import gateway_fixture

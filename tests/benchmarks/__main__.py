@@ -30,7 +30,7 @@ from typing import Any, Final
 import zenoh
 
 from gateway.model.frames import Framing
-from gateway.zenoh_config import client_config
+from gateway.zenoh.config import client_config
 from schemas.keys import LEGS_COMMAND, leg_command
 from schemas.robot import LEGS
 from tests.benchmarks.processes import cpu_ns, never_delay, say

@@ -17,7 +17,7 @@ import zenoh
 
 from gateway.host.settings_table import ZenohSettings
 from gateway.robot.zenoh_io.session import service_config
-from gateway.zenoh_config import client_config
+from gateway.zenoh.config import client_config
 from schemas.keys import leg_command
 
 

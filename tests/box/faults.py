@@ -61,7 +61,7 @@ FAULTS = (
         "rm $own/gateway/people/commands/decode.py; : >$own/mcap/writer.py",
         "gateway/people/commands/decode.py",
     ),
-    Fault("an emptied file of check's own", ": >$own/gateway/text.py", "gateway/text.py"),
+    Fault("an emptied file of check's own", ": >$own/gateway/text.py", "gateway/words/text.py"),
     Fault("a module that was not installed", "echo >$own/json.py", "and not installed with it: /usr/lib"),
     Fault("a file for root only", "chmod 600 $own/gateway/people/commands/decode.py", "not readable by all"),
     # user and groups

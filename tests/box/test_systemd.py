@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from gateway.model.frames import Op, decode, stop_leg
-from gateway.people.recorder.incidents import kind_of
-from gateway.people.recorder.story import story
+from gateway.people.incidents.find import kind_of
+from gateway.people.incidents.story import story
 from schemas import keys
 from tests.box.box import Unit
 from tests.box.installed import CONFIGURATION, NAME, REPOSITORY, STOPS, InstalledGateway, wait_for_stops

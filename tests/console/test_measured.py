@@ -9,9 +9,9 @@ from playwright.sync_api import expect
 
 from gateway import geometry
 from gateway.client import Client
-from gateway.people.client.dangers import UNCONFIRMED
 from gateway.people.walking.planning import lying_deg
 from gateway.people.walking.robot import Robot
+from gateway.people.watching.dangers import UNCONFIRMED
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Battery, Telemetry
 from tests.console.browser import CHANGES, Visitor

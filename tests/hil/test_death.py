@@ -18,7 +18,7 @@ import pytest
 
 from gateway.model.black_box import RING_FILE
 from gateway.model.frames import Frame, Framing, OneLeg, OneServo, Op, ServoOp, decode
-from gateway.people.recorder import ring_reader as rec
+from gateway.people.incidents import ring_reader as rec
 from schemas.robot import LEGS
 from schemas.telemetry import Cause
 from tests.benchmarks.processes import publishing

@@ -21,7 +21,7 @@ from zenoh.handlers import RingChannel
 
 from gateway.client import leg_payload
 from gateway.model.frames import decode
-from gateway.zenoh_config import client_config
+from gateway.zenoh.config import client_config
 from schemas.keys import EVENT, STATE, leg_command
 from schemas.robot import LEGS
 from schemas.telemetry import Mode

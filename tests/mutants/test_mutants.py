@@ -69,7 +69,7 @@ def test_a_room_below_the_floor_is_named() -> None:
     scores = {
         "gateway/robot/core/legs.py": full,
         "gateway/model/frames.py": low,
-        "gateway/allowance.py": Counter(wanted=9),
+        "gateway/rate_limit.py": Counter(wanted=9),
     }
     assert dict(below_floor(scores)) == {"gateway/model": 0.96}
 

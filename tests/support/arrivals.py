@@ -9,8 +9,8 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Final, NamedTuple
 
-from gateway.allowance import NS_PER_MS
 from gateway.model.frames import STOP, Op, ServoOp, servo_ids_of
+from gateway.rate_limit import NS_PER_MS
 from gateway.robot.core.events import BusOpened, Command, Rejected, TimePassed, Transmit
 from gateway.robot.core.message import Verb
 from gateway.robot.core.rules import Rules

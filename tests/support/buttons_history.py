@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from gateway.allowance import NS_PER_MS
+from gateway.rate_limit import NS_PER_MS
 from gateway.robot.core.events import ButtonRequest, Effect
 from gateway.robot.core.rules import Rules
 from schemas.telemetry import Kind, Reason

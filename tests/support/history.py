@@ -4,8 +4,8 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence, S
 from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeVar
 
-from gateway.allowance import NS_PER_S
 from gateway.model.frames import Op, ServoOp
+from gateway.rate_limit import NS_PER_S
 from gateway.robot.core import events
 from gateway.robot.core.rules import Rules
 from schemas.telemetry import Cause, Kind, Mode, Reason

@@ -12,8 +12,8 @@ from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 from pydantic import BaseModel
 
+from gateway.people.incidents.messages import RECORDER, CommandInBox, FrameInBox, Note, RecordedMessage
 from gateway.people.recorder.drawing import DRAWN
-from gateway.people.recorder.messages import RECORDER, CommandInBox, FrameInBox, Note, RecordedMessage
 from gateway.people.recorder.record import METADATA, REPORTS
 from schemas.keys import COMMAND_KEYS
 from tests.support.ros2_messages import decode

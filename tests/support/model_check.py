@@ -15,8 +15,8 @@ from dataclasses import dataclass, fields, replace
 from operator import attrgetter
 from typing import Any, Final
 
-from gateway.allowance import NS_PER_MS
 from gateway.model.calibration import RobotCalibration
+from gateway.rate_limit import NS_PER_MS
 from gateway.robot.core.backlog import Stretch
 from gateway.robot.core.buttons import Buttons, Registration
 from gateway.robot.core.events import (

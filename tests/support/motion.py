@@ -3,8 +3,8 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from gateway.allowance import NS_PER_S
 from gateway.model.frames import Op
+from gateway.rate_limit import NS_PER_S
 from gateway.robot.core.events import Transmit
 from gateway.robot.core.rules import Rules
 from tests.support.history import ServoHistory, demand

@@ -4,7 +4,7 @@ import asyncio
 from collections.abc import Callable, Sequence
 from typing import Any, Final, cast
 
-from gateway.allowance import NS_PER_S
+from gateway.rate_limit import NS_PER_S
 from gateway.robot.power.board import Confirmed, News, Status
 from gateway.robot.power.line import SHOWN, PowerLine
 from gateway.robot.service import BEAT_S

@@ -4,8 +4,8 @@ from collections.abc import Callable, Iterator, Sequence
 from heapq import heappop, heappush
 from itertools import count
 
-from gateway.allowance import NS_PER_MS
 from gateway.model.power_board import SET_SUPPLY, CanFrame
+from gateway.rate_limit import NS_PER_MS
 from gateway.robot.power.board import Confirmed, News, PowerBoard
 from gateway.simulation.board import SimulatedBoard
 from schemas.robot import SERVO_IDS

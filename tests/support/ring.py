@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from gateway.model import black_box as form
-from gateway.people.recorder import ring_reader
+from gateway.people.incidents import ring_reader
 
 
 def parse(data: bytes) -> ring_reader.Records:

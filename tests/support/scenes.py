@@ -19,9 +19,9 @@ from typing import Any, Final, TypeVar, cast
 
 import pytest
 
-from gateway.allowance import NS_PER_MS
 from gateway.model.calibration import RobotCalibration
 from gateway.model.frames import STOP, OneServo, Op, ServoOp, servo_ids_of
+from gateway.rate_limit import NS_PER_MS
 from gateway.robot.core import events
 from gateway.robot.core.rules import Rules
 from gateway.robot.core.supervisor import Supervisor

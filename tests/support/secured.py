@@ -9,7 +9,7 @@ import zenoh
 
 from gateway import certs
 from gateway.client import Client
-from gateway.zenoh_config import load_config
+from gateway.zenoh.config import load_config
 from tests.hil.bed import SpiTestbed
 from tests.support.closing import Closing
 from tests.support.gateway_process import Gateway, free_port

@@ -3,9 +3,9 @@
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
-from gateway.allowance import NS_PER_S
 from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.model.frames import STOP, Op, ServoOp
+from gateway.rate_limit import NS_PER_S
 from gateway.robot.core.events import PowerSeen
 from gateway.robot.core.rules import Rules
 from schemas.calibration import CalibrationCommand, ServoChange

@@ -11,11 +11,11 @@ from typing import Final
 import pytest
 
 from gateway.people.walking.engine import Engine
+from gateway.people.walking.gait_speed import SLEW_M_S2, SLEW_RAD_S2
 from gateway.people.walking.motion import STILL, Posture, Velocity
 from gateway.people.walking.planning import MARGIN_M, centre_of_mass, margin_m
 from gateway.people.walking.robot import Pose, Robot
-from gateway.people.walking.tempo import SLEW_M_S2, SLEW_RAD_S2
-from gateway.people.walking.ways import ON_GROUND_M, Shift
+from gateway.people.walking.transitions import ON_GROUND_M, Shift
 from schemas.robot import LEGS
 
 TICK_S: Final = 0.02

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway import durable
+from gateway.files import durable
 
 
 def with_replacing(path: Path, data: bytes) -> None:

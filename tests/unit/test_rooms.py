@@ -13,19 +13,20 @@ from gateway.model.protocols import SpiProtocol
 GATEWAY = Path(__file__).parents[2] / "gateway"
 
 ROOMS: Final = (
-    ("text",),
-    ("allowance", "durable", "endpoints", "errors", "limits", "nesting", "nonces", "own_command", "wire"),
+    ("words",),
+    ("errors", "files", "rate_limit", "wire", "zenoh.endpoints", "zenoh.limits"),
     ("model", "geometry"),
     ("host", "certs"),
-    ("zenoh_config",),
+    ("zenoh.config",),
     ("people.numbers",),
     ("robot.core", "people.walking"),
     ("robot.settings", "robot.protocol", "people.physics"),
     ("robot.host", "people.client"),
-    ("robot.spi", "client", "people.terminal"),
+    ("robot.spi", "client", "people.terminal", "people.watching"),
     ("robot.zenoh_io", "robot.power", "people.commands", "simulation"),
     ("robot.blackbox", "people.console", "people.ros2"),
     ("robot.runtime", "robot.wires", "people.recorder"),
+    ("people.incidents",),
     ("robot.service",),
     ("onboard",),
     ("cli",),
@@ -47,7 +48,7 @@ PURE_FILES: Final = frozenset(
     )
 )  # fmt: skip
 """In rooms that also do I/O."""
-ALSO_PURE: Final = frozenset({"allowance", "errors", "geometry", "nonces", "text", "wire", *WINGS})
+ALSO_PURE: Final = frozenset({"errors", "geometry", "rate_limit", "wire", "words", *WINGS})
 """Geometry but for reading its file, which is for whoever calls."""
 NOT_PURE: Final = frozenset(
     {"zenoh", "spidev", "asyncio", "time", "logging", "socket", "threading", "subprocess", "os"}
@@ -58,7 +59,7 @@ NOT_PURE: Final = frozenset(
 def room_of(name: str) -> str:
     """`gateway.robot.core.legs` → `robot.core`, `gateway.errors.GatewayError` → `errors`."""
     parts = name.split(".")[1:]
-    return ".".join(parts[: 2 if parts[0] in WINGS else 1])
+    return ".".join(parts[: 2 if parts[0] in (*WINGS, "zenoh") else 1])
 
 
 def wing_of(room: str) -> str:
@@ -86,7 +87,7 @@ def imported(path: Path) -> frozenset[str]:
 FILES = [
     path
     for path in sorted(GATEWAY.rglob("*.py"))
-    if path.stem != "__init__" or path.parent not in (GATEWAY, *(GATEWAY / wing for wing in WINGS))
+    if path.stem != "__init__" or path.parent not in (GATEWAY, *(GATEWAY / folder for folder in (*WINGS, "zenoh")))
 ]
 PLACE = {room: place for place, row in enumerate(ROOMS) for room in row}
 

@@ -2,9 +2,9 @@
 
 import pytest
 
-from gateway import nesting
-from gateway.nesting import MOST_BYTES, MOST_DOTS, MOST_LEVELS
-from gateway.text import decimal_comma, visible
+from gateway.files import nesting
+from gateway.files.nesting import MOST_BYTES, MOST_DOTS, MOST_LEVELS
+from gateway.words.text import decimal_comma, visible
 
 
 @pytest.mark.parametrize(

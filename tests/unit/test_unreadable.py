@@ -7,13 +7,14 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from gateway import certs, durable, geometry, nesting
+from gateway import certs, geometry
 from gateway.errors import ConfigError
+from gateway.files import durable, nesting
 from gateway.people.commands import calibration
 from gateway.robot import settings
 from gateway.robot.settings import Settings
 from gateway.robot.zenoh_io.session import service_config
-from gateway.zenoh_config import one_line, why_not_opened
+from gateway.zenoh.config import one_line, why_not_opened
 
 
 @pytest.mark.parametrize("data", ["spi.framing = 1".encode("utf-16"), b"\0" * 300, b"a = 1\n\0", b"# \xe4"])

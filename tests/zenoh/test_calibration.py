@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from gateway import durable
 from gateway.client import Client
+from gateway.files import durable
 from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.model.frames import decode
 from gateway.people.commands.calibration import NotKeptYetError, once_kept

@@ -10,9 +10,9 @@ import pytest
 import zenoh
 
 from gateway.errors import DisconnectedError, UnansweredError
-from gateway.people.client.requests import Identity
+from gateway.people.client.lease_requests import Identity
 from gateway.people.commands import why
-from gateway.zenoh_config import client_config, open_session
+from gateway.zenoh.config import client_config, open_session
 from schemas import keys
 from schemas.state import MAX_STATE_BYTES
 from schemas.telemetry import ConfigReport

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from gateway import durable
 from gateway.client import Client
+from gateway.files import durable
 from gateway.robot.runtime.estop_keeper import ESTOP_FILE, LAST_FILE, SLOW_S, KeptEstop, read
 from schemas import keys
 from schemas.telemetry import Kind, Mode, Reason

@@ -23,7 +23,7 @@ from gateway.robot.zenoh_io.inbox import OTHER_DEPTH, POLL_AFTER_FLOOD, Inbox
 from gateway.robot.zenoh_io.questions import POLL_AGAIN_S
 from gateway.robot.zenoh_io.rings import LEAST_PUT_DEPTH, RING_DEPTH
 from gateway.robot.zenoh_io.session import service_config
-from gateway.zenoh_config import open_session
+from gateway.zenoh.config import open_session
 from schemas.keys import ALL_COMMANDS, ESTOP, LEASE, leg_command, servo_command
 from tests.support.gateway_process import free_port
 from tests.support.interleaved import Sample

@@ -8,7 +8,7 @@ import pytest
 import zenoh
 
 from gateway import certs
-from gateway.people.client.requests import Identity
+from gateway.people.client.lease_requests import Identity
 from schemas import keys
 from schemas.lease import LeaseAck
 from schemas.telemetry import Ack, Reason

@@ -9,7 +9,7 @@ from gateway.host.settings_table import ZenohSettings
 from gateway.robot.zenoh_io.outbox import ZenohOutbox
 from gateway.robot.zenoh_io.session import service_config
 from gateway.robot.zenoh_io.unknown_keys import UnknownKeys
-from gateway.zenoh_config import client_config, open_session
+from gateway.zenoh.config import client_config, open_session
 from schemas.keys import STATE, TELEMETRY
 from schemas.telemetry import Telemetry
 from tests.support.fixtures import gateway_fixture

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from gateway.host.realtime import LOOP_PRIORITY, PAGE_PRIORITY, RECEIVER_PRIORITY, TIMER_SLACK_NS, ZENOH_NICE
-from gateway.limits import MAX_SESSIONS
 from gateway.robot.zenoh_io.session import RUNTIME
+from gateway.zenoh.limits import MAX_SESSIONS
 from tests.support.gateway_process import Gateway
 
 root_only = pytest.mark.skipif(os.geteuid() != 0, reason="only root, or a service that may, gets priority")

@@ -16,7 +16,7 @@ import pytest
 from gateway import certs
 from gateway.client import Client
 from gateway.errors import GatewayError, ZenohError
-from gateway.people.client.requests import Identity
+from gateway.people.client.lease_requests import Identity
 from schemas.calibration import ServoChange
 from schemas.robot import LEGS
 from schemas.telemetry import GatewayState, Mode, Reason
@@ -61,7 +61,7 @@ import sys, time
 from contextlib import suppress
 from pathlib import Path
 import zenoh
-from gateway.zenoh_config import load_config
+from gateway.zenoh.config import load_config
 while True:
     config = load_config(Path(sys.argv[1]))
     config.insert_json5("connect/timeout_ms", "500")

@@ -49,7 +49,7 @@ def test_a_frozen_peer_holds_neither_an_answer_nor_the_end(tmp_path: Path) -> No
     """Here Zenoh waits for a full link for longer than a client waits for its answer, and a link is full soon."""
     publisher = (
         "import sys, time\n"
-        "from gateway.zenoh_config import client_config, open_session\n"
+        "from gateway.zenoh.config import client_config, open_session\n"
         "config = client_config(sys.argv[1])\n"
         "config.insert_json5('transport/link/tx/lease', '600000')\n"  # so Zenoh does not give it up before the end
         "config.insert_json5('transport/link/tcp/so_rcvbuf', '4096')\n"

@@ -16,8 +16,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Final
 
-from gateway import nesting
 from gateway.errors import ConfigError, ZenohError
+from gateway.files import nesting
 from gateway.host import effective
 from gateway.host.directories import CONFIGURATION
 from gateway.onboard import whole
@@ -26,12 +26,12 @@ from gateway.onboard.check.table import CheckedRobot, Result, Verdict, results
 from gateway.people.client import diagnosis
 from gateway.people.client.blocking import Client
 from gateway.people.client.diagnosis import Finding, Stage
-from gateway.people.client.requests import Identity
+from gateway.people.client.lease_requests import Identity
 from gateway.people.commands import why
 from gateway.people.terminal import clear_line, hint, show_line
 from gateway.robot import settings as settings_file
 from gateway.robot.settings import FramingNotSetError
-from gateway.zenoh_config import client_config, connect_endpoints
+from gateway.zenoh.config import client_config, connect_endpoints
 
 
 def check(config: Path | None, *, as_json: bool = False) -> int:

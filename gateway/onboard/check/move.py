@@ -22,11 +22,11 @@ from gateway.model.frames import Frame, FrameError, decode
 from gateway.model.protocols import BUILT_IN
 from gateway.onboard.check.table import FailedError, demand, ms_since
 from gateway.onboard.computer import SELECT_BY_GPIO
-from gateway.own_command import command
 from gateway.people.client.blocking import Client
 from gateway.people.commands.moving import ServoMotion, consent, lying, ready, stopped_after
 from gateway.people.commands.reach import Connection, drives, show_differences
 from gateway.people.terminal import ask, say
+from gateway.words.own_command import command
 from schemas import keys
 from schemas.robot import LEGS, MAX_DEG, SERVO_IDS
 from schemas.telemetry import Ack, Cause, Event, FrameRecord, Kind, Mode, Reason, Telemetry

@@ -15,7 +15,6 @@ import zenoh
 
 from gateway import certs
 from gateway.certs import access, revocation
-from gateway.endpoints import host_and_port, ip_of
 from gateway.errors import ConfigError
 from gateway.host import effective
 from gateway.host.directories import state_to_read
@@ -33,7 +32,8 @@ from gateway.onboard.check.table import (
 )
 from gateway.robot.zenoh_io import exposure
 from gateway.robot.zenoh_io.session import bind_fault, is_late, service_config
-from gateway.zenoh_config import CA, TLS, certificate_files, connect_endpoints, get, listen_endpoints
+from gateway.zenoh.config import CA, TLS, certificate_files, connect_endpoints, get, listen_endpoints
+from gateway.zenoh.endpoints import host_and_port, ip_of
 
 DENIED: Final = os.strerror(errno.EACCES)
 _IPV6: Final = 6

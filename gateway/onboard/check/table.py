@@ -23,7 +23,7 @@ from gateway.onboard.computer import ROOT_DIR
 from gateway.onboard.holders import Holder, OpenFiles
 from gateway.people.terminal import say
 from gateway.robot.settings import Settings
-from gateway.text import visible
+from gateway.words.text import visible
 
 SERVICE: Final = "hexapod-gateway"
 RESTART: Final = f"sudo systemctl reset-failed {SERVICE}; sudo systemctl restart {SERVICE}"

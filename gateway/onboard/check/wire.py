@@ -20,7 +20,6 @@ from gateway.model.elkapod import FRAME_BYTES
 from gateway.model.frames import ONE_LEG_LEN, Framing
 from gateway.onboard import computer
 from gateway.onboard.check.table import RESTART, SERVICE, CheckedRobot, Result, Row, failure, first, held, warning, well
-from gateway.own_command import command
 from gateway.robot.power.interface import BITRATE, open_bus
 from gateway.robot.runtime.calibrations import CALIBRATION_FILE, load
 from gateway.robot.spi import outside
@@ -28,6 +27,7 @@ from gateway.robot.spi.bus import CS_CHANGE_NS
 from gateway.robot.spi.kernel import NO_SPIDEV, KernelDevice, spidev_module
 from gateway.robot.spi.plugin import PluginDevice
 from gateway.robot.spi.uart import SerialUart
+from gateway.words.own_command import command
 from schemas.robot import LEGS
 
 _SLOW_MS: Final = 20.0

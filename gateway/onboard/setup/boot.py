@@ -4,7 +4,7 @@ import re
 from collections.abc import Callable, Iterator
 from typing import Final
 
-from gateway import durable
+from gateway.files import durable
 from gateway.onboard.computer import is_pi_5
 from gateway.onboard.setup.machine import Machine
 from gateway.people.terminal import say

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import gateway
-from gateway import nesting
 from gateway.errors import ConfigError
+from gateway.files import nesting
 from gateway.host.settings_table import ControllerSettings, WireSettings
 from gateway.model.frames import Framing
 from gateway.model.protocols import SpiProtocol

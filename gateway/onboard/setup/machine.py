@@ -8,11 +8,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
-from gateway import durable
 from gateway.errors import ConfigError, GatewayError
+from gateway.files import durable
 from gateway.onboard import release_switch
-from gateway.own_command import command
 from gateway.people.terminal import say
+from gateway.words.own_command import command
 
 SERVICE: Final = "hexapod-gateway"
 ETC: Final = f"/etc/{SERVICE}"

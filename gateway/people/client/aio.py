@@ -10,13 +10,13 @@ from typing import Any, Concatenate, Generic, ParamSpec, Self, TypeVar, cast
 from gateway.errors import LeaseLostError, ZenohError
 from gateway.people.client.blocking import Client
 from gateway.people.client.lease import Lease
+from gateway.people.client.lease_requests import Button
 from gateway.people.client.pace import Jitter
 from gateway.people.client.process_end import WalkSignals
-from gateway.people.client.requests import Button
 from gateway.people.client.stream import Stream
 from gateway.people.client.walk import Walk
+from gateway.people.walking.gait_speed import Distance
 from gateway.people.walking.motion import WalkState
-from gateway.people.walking.tempo import Distance
 
 H = TypeVar("H", bound=AbstractContextManager[Any])
 P = ParamSpec("P")

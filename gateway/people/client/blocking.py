@@ -23,9 +23,9 @@ from gateway.errors import (
     UnreachedError,
     ZenohError,
 )
-from gateway.own_command import command
 from gateway.people.client import stopped
 from gateway.people.client.lease import Lease
+from gateway.people.client.lease_requests import Button, Identity, Requests
 from gateway.people.client.payloads import (
     calibration_payload,
     leg_number,
@@ -37,10 +37,10 @@ from gateway.people.client.payloads import (
 )
 from gateway.people.client.process_end import close_at_the_end, keep_signals
 from gateway.people.client.question import JSON, EstopAck, Hosts, Question
-from gateway.people.client.requests import Button, Identity, Requests
 from gateway.people.client.stream import Stream
 from gateway.people.client.subscriptions import NO_CONFIG, States, reads
-from gateway.zenoh_config import client_config, get, one_line
+from gateway.words.own_command import command
+from gateway.zenoh.config import client_config, get, one_line
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.state import StateReport, joined

@@ -19,11 +19,11 @@ from typing import Any, Final
 import zenoh
 
 from gateway import certs
-from gateway.endpoints import is_local
 from gateway.errors import ConfigError
-from gateway.own_command import DEFAULT_ENDPOINT, this_command
-from gateway.people.client.requests import Identity
-from gateway.zenoh_config import connect_endpoints, first_expiry
+from gateway.people.client.lease_requests import Identity
+from gateway.words.own_command import DEFAULT_ENDPOINT, this_command
+from gateway.zenoh.config import connect_endpoints, first_expiry
+from gateway.zenoh.endpoints import is_local
 
 TIMEOUT_S: Final = 1.0
 """The time for all endpoints together."""

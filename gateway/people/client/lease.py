@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any, Final, Protocol, Self
 import zenoh
 
 from gateway.errors import GatewayError, LeaseError, LeaseLostError, ZenohError
+from gateway.people.client.lease_requests import Requests
 from gateway.people.client.renewal import Holds, Renewal
-from gateway.people.client.requests import Requests
 from schemas.telemetry import Ack, Event, GatewayState, Kind, Reason, Telemetry
 
 if TYPE_CHECKING:

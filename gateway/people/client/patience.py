@@ -12,7 +12,7 @@ from typing import Final, Generic, TypeVar
 A = TypeVar("A")
 
 RESEND_S: Final = 0.05
-"""A client without a link tries again after 0.1 s (`gateway.zenoh_config`)."""
+"""A client without a link tries again after 0.1 s (`gateway.zenoh.config`)."""
 ATTEMPT_S: Final = 1.0
 """After this time without an answer a Stop is requested again, since the link may be dead unnoticed.
 

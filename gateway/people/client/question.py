@@ -24,7 +24,7 @@ from pydantic import BaseModel, Field, ValidationError
 
 from gateway.errors import UnreachedError, ZenohError
 from gateway.people.client.patience import Patience, Query, QuestionStep
-from gateway.zenoh_config import CANNOT_CONNECT, connect_endpoints, get, one_line, why_not_opened
+from gateway.zenoh.config import CANNOT_CONNECT, connect_endpoints, get, one_line, why_not_opened
 from schemas.telemetry import Ack
 
 NEXT_HOST_S: Final = 0.2

@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 
 from gateway.errors import GatewayError, LeaseLostError, RejectedError, StoppedError
 from gateway.model.protocols import called
-from gateway.text import legs_named
+from gateway.words.text import legs_named
 from schemas.telemetry import Cause, Event, GatewayState, Kind, Mode, Reason
 
 STOP: Final = "stop"

@@ -21,7 +21,7 @@ from gateway.people.client import pace, stopped
 from gateway.people.client.lease import CONFIRM_S, NOT_OURS, DrivingClient, Lease
 from gateway.people.client.payloads import LegAngles, Setpoints, Unit, legs_angles, legs_payload, setpoints
 from gateway.people.client.stopped import ReceivedEvent
-from gateway.text import legs_named
+from gateway.words.text import legs_named
 from schemas import keys
 from schemas.telemetry import Ack, Event, GatewayState, Kind, LegReport, Reason, WatchdogState
 

@@ -18,12 +18,12 @@ from gateway.people.client.pace import Retries
 from gateway.people.client.process_end import WalkSignals
 from gateway.people.client.stream import Stream, checked_hz
 from gateway.people.walking.balance import ReceivedTelemetry, terrain_named
+from gateway.people.walking.gait_speed import Distance
 from gateway.people.walking.gaits import gait as gait_named
 from gateway.people.walking.motion import BodyPose, Posture, Velocity, WalkState
 from gateway.people.walking.ride import USUAL_SILENCES, Phase, Ride, RideStep, RideTask, Silences
 from gateway.people.walking.robot import Robot, check_mirrored_once, ranges, running_deg
-from gateway.people.walking.tempo import Distance
-from gateway.people.walking.ways import LONGEST_S
+from gateway.people.walking.transitions import LONGEST_S
 from gateway.people.walking.words import Newest
 from schemas.robot import LEGS
 from schemas.telemetry import GatewayState, Reason

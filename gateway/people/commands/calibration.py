@@ -7,16 +7,16 @@ from typing import Any, Final
 
 from pydantic import ValidationError
 
-from gateway import durable
 from gateway.errors import ConfigError, GatewayError, LeaseError, UnansweredError
+from gateway.files import durable
 from gateway.model.calibration import AS_DRAWN, RobotCalibration, ServoMapping, calibration_of, changed_servos
 from gateway.model.frames import centidegrees
-from gateway.own_command import command
 from gateway.people.client.blocking import Client
 from gateway.people.client.payloads import calibration_payload
 from gateway.people.commands import reach
 from gateway.people.commands.reach import Connection
 from gateway.people.terminal import NOBODY, ask, hint, say
+from gateway.words.own_command import command
 from schemas import calibration as wire
 from schemas import keys
 from schemas.telemetry import Ack, CalibrationReport, GatewayState, Reason

@@ -9,9 +9,9 @@ import typer
 from gateway import certs
 from gateway.certs import access
 from gateway.errors import ConfigError, GatewayError
-from gateway.own_command import this_command
 from gateway.people.commands.options import JsonOption
 from gateway.people.terminal import hint, say
+from gateway.words.own_command import this_command
 
 app = typer.Typer(
     no_args_is_help=True,

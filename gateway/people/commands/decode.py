@@ -8,7 +8,7 @@ from typing import Any
 from gateway.model import frames
 from gateway.model.frames import FrameError, OneLeg, Op
 from gateway.people.terminal import say
-from gateway.text import echo
+from gateway.words.text import echo
 
 _FRAME_HEADERS = frozenset(
     (bytes((frames.ONE_LEG_LEN, frames.ONE_LEG_TYPE)), bytes((frames.ONE_SERVO_LEN, frames.ONE_SERVO_TYPE)))

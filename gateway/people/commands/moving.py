@@ -11,12 +11,12 @@ from typing import Any, Final, NamedTuple
 
 from gateway import geometry
 from gateway.errors import ConfigError, GatewayError
-from gateway.own_command import command
 from gateway.people.client.blocking import Client
 from gateway.people.terminal import ask, hint
 from gateway.people.walking.planning import lying_deg
 from gateway.people.walking.robot import Robot, ranges
-from gateway.text import visible
+from gateway.words.own_command import command
+from gateway.words.text import visible
 from schemas import keys
 from schemas.robot import JOINTS, LEGS, MAX_DEG
 from schemas.telemetry import GatewayState, Mode

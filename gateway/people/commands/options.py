@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar
 
 import typer
 
-from gateway import own_command
+from gateway.words import own_command
 
 if TYPE_CHECKING:
     from gateway.people.commands.reach import Connection

@@ -12,9 +12,9 @@ from pathlib import Path
 from gateway.errors import LeaseError, RejectedError, UnansweredError, ZenohError
 from gateway.host import effective
 from gateway.host.directories import CONFIGURATION
-from gateway.own_command import command
 from gateway.people.client.blocking import Client
 from gateway.people.terminal import hint, say
+from gateway.words.own_command import command
 from schemas.keys import MAX_SOURCE
 from schemas.telemetry import Ack, Reason
 

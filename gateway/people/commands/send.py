@@ -7,16 +7,16 @@ from contextlib import suppress
 from typing import Any, Final
 
 from gateway.errors import ConfigError, GatewayError, LeaseError
-from gateway.own_command import command
 from gateway.people.client.blocking import Client, several_answer
-from gateway.people.client.dangers import PowerAlarm, confirmed_off
+from gateway.people.client.lease_requests import Identity
 from gateway.people.client.payloads import leg_payload, legs_payload, servo_payload
-from gateway.people.client.requests import Identity
 from gateway.people.commands import reach
 from gateway.people.commands.options import Reach
 from gateway.people.commands.reach import Connection, me
 from gateway.people.terminal import hint, say
-from gateway.zenoh_config import client_config
+from gateway.people.watching.dangers import PowerAlarm, confirmed_off
+from gateway.words.own_command import command
+from gateway.zenoh.config import client_config
 from schemas import keys
 from schemas.robot import JOINTS, LEGS, SERVO_IDS
 from schemas.telemetry import Ack, GatewayState, Mode, Reason, WatchdogReport

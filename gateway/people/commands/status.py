@@ -11,19 +11,19 @@ from functools import partial
 from typing import Final, NamedTuple, NoReturn
 
 from gateway import certs
-from gateway.allowance import NS_PER_S
 from gateway.host import output
-from gateway.own_command import this_command
 from gateway.people.client import diagnosis
 from gateway.people.client.blocking import Client, several_answer
-from gateway.people.client.dangers import PowerAlarm, power_now
-from gateway.people.client.live import Live, Receiver
 from gateway.people.commands import why
 from gateway.people.commands.options import Reach
 from gateway.people.terminal import hint, on_end_signals, say
 from gateway.people.walking.words import robot_now
-from gateway.text import visible
-from gateway.zenoh_config import client_config
+from gateway.people.watching.dangers import PowerAlarm, power_now
+from gateway.people.watching.live import Live, Receiver
+from gateway.rate_limit import NS_PER_S
+from gateway.words.own_command import this_command
+from gateway.words.text import visible
+from gateway.zenoh.config import client_config
 from schemas import keys
 from schemas.telemetry import Event, GatewayState, LegReport
 

@@ -11,8 +11,8 @@ from gateway.errors import ConfigError, DisconnectedError, UnansweredError, Zeno
 from gateway.people.client import diagnosis
 from gateway.people.client.blocking import Client
 from gateway.people.client.diagnosis import Finding, Stage
-from gateway.people.client.requests import Identity
-from gateway.zenoh_config import client_config
+from gateway.people.client.lease_requests import Identity
+from gateway.zenoh.config import client_config
 from schemas import keys
 
 _ANSWER_S: Final = 0.5

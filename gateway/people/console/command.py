@@ -8,11 +8,11 @@ from urllib.parse import urlsplit
 
 from gateway.errors import ConfigError, UnreachedError
 from gateway.host.directories import console_state
-from gateway.own_command import install
 from gateway.people.commands.options import Reach
 from gateway.people.console.server import site
 from gateway.people.console.server.sessions import Sessions, kept
 from gateway.people.terminal import hint, say
+from gateway.words.own_command import install
 
 NEEDS: Final = ("aiohttp", "segno")
 ANSWERS_S: Final = 1.0

@@ -17,13 +17,13 @@ from gateway.errors import UnreachedError, ZenohError
 from gateway.geometry import Geometry
 from gateway.host.descriptors import Spare
 from gateway.people.client.blocking import Client
-from gateway.people.client.confirmed_stop import REQUESTS_AT_ONCE
-from gateway.people.client.live import Live, OnLoop, Receiver, set_upright
-from gateway.people.client.silence import CHECK_EVERY_S
 from gateway.people.commands import why
 from gateway.people.commands.options import Reach
 from gateway.people.console.pages.page_messages import Message, link_message
 from gateway.people.console.pages.page_tasks import Stops
+from gateway.people.watching.confirmed_stop import REQUESTS_AT_ONCE
+from gateway.people.watching.live import Live, OnLoop, Receiver, set_upright
+from gateway.people.watching.silence import CHECK_EVERY_S
 from schemas.telemetry import Ack, GatewayState
 
 STOPS_AT_ONCE: Final = 4

@@ -15,10 +15,10 @@ from aiohttp import web
 from multidict import MultiMapping
 from yarl import URL
 
-from gateway import durable
 from gateway.certs import CONSOLE_DAYS, authority
 from gateway.certs.files import read_certificate
 from gateway.errors import ConfigError
+from gateway.files import durable
 from gateway.people.commands.certs import DEFAULT_FOLDER
 from gateway.people.console.server.auth import HEADERS, read_files
 from gateway.people.console.server.site import LOCALHOST, Options, Site, address_of, free_address

@@ -21,8 +21,9 @@ from urllib.parse import urlsplit
 import segno
 from aiohttp import WSCloseCode, web
 
-from gateway import __version__, certs, durable
+from gateway import __version__, certs
 from gateway.errors import WalkError
+from gateway.files import durable
 from gateway.geometry import Geometry, load
 from gateway.host import descriptors, logs, realtime
 from gateway.host.directories import console_state
@@ -41,7 +42,7 @@ from gateway.people.terminal import hint, on_end_signals, say
 from gateway.people.walking.gaits import GAITS
 from gateway.people.walking.planning import lying_deg
 from gateway.people.walking.robot import Robot
-from gateway.zenoh_config import client_config, get
+from gateway.zenoh.config import client_config, get
 
 MAX_PAGES: Final = 64
 """Open at once, as many as the gateway takes sessions."""

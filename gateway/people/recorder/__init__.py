@@ -1,4 +1,4 @@
-"""`record`: what a gateway publishes, as a file, live, or as a table; and what its black box kept of each incident.
+"""`record`: what a gateway publishes, as a file, live, or as a table.
 
 Here is the command line alone.
 """

@@ -22,11 +22,11 @@ from pydantic import ValidationError
 
 from gateway.geometry import Geometry, transforms
 from gateway.geometry.kinematics import BASE, FramePose
-from gateway.people.client.dangers import Tone, tone_of
 from gateway.people.ros2 import messages as ros
 from gateway.people.ros2 import robot
 from gateway.people.ros2.commanded import CommandedJoints
 from gateway.people.ros2.messages import LOG_ERROR, LOG_INFO, LOG_WARN, Message
+from gateway.people.watching.dangers import Tone, tone_of
 from schemas.keys import EVENT, SIM_BODY, STATE, TELEMETRY
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import BodyReport, GatewayState, Telemetry

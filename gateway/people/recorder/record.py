@@ -20,13 +20,13 @@ from pydantic import BaseModel, ValidationError
 from gateway import __version__
 from gateway.errors import AddressTakenError, ConfigError, GatewayError
 from gateway.geometry import Geometry, load
-from gateway.own_command import install
-from gateway.people.client.live import is_of_physics
 from gateway.people.client.subscriptions import States, subscribed
 from gateway.people.commands.reach import Connection
 from gateway.people.recorder.drawing import DESCRIPTION, DRAWN, LOG, Drawing, definition, encode, log_line
 from gateway.people.ros2.messages import LOG_WARN, Message
 from gateway.people.terminal import clear_line, hint, on_end_signals, say, show_line
+from gateway.people.watching.live import is_of_physics
+from gateway.words.own_command import install
 from schemas.calibration import Calibration
 from schemas.keys import CALIBRATION, CONFIG, EVENT, FRAME, SIM_BODY, STATE, TELEMETRY
 from schemas.robot import SERVO_IDS

@@ -15,10 +15,10 @@ from typing import Final, TypeVar
 from gateway.errors import GatewayError, LeaseLostError, RejectedError, StoppedError
 from gateway.geometry import Geometry
 from gateway.people.client.blocking import Client
-from gateway.people.client.dangers import UNCONFIRMED, confirmed_off
 from gateway.people.client.lease import Lease
 from gateway.people.ros2.motions import DOES_NOT_STAND, JointCommands, Motion, Walking
 from gateway.people.walking.motion import ORIGIN, Odometry, Velocity
+from gateway.people.watching.dangers import UNCONFIRMED, confirmed_off
 from schemas.telemetry import GatewayState, Mode, Reason
 
 NOBODY_DRIVES: Final = "nobody has called drive"

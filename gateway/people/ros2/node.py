@@ -33,11 +33,11 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Empty
 from std_srvs.srv import Trigger
 
-from gateway.endpoints import is_local
 from gateway.errors import ConfigError, GatewayError
 from gateway.people.ros2.messages import Message
 from gateway.people.ros2.parameters import DESCRIPTIONS, Parameters
 from gateway.people.ros2.received import read_each
+from gateway.zenoh.endpoints import is_local
 
 NAME: Final = "hexapod_gateway"
 SIMULATED: Final = "use_sim_time is set, and the time of a robot is real"

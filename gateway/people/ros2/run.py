@@ -19,7 +19,6 @@ from zenoh.handlers import RingChannel
 
 from gateway.errors import ConfigError, UnansweredError
 from gateway.geometry import load
-from gateway.own_command import install
 from gateway.people.client.subscriptions import States, subscribed
 from gateway.people.commands.reach import Connection
 from gateway.people.ros2 import messages as ros
@@ -30,6 +29,7 @@ from gateway.people.ros2.joints import JointNames, JointsError
 from gateway.people.ros2.parameters import Parameters
 from gateway.people.terminal import hint, on_end_signals, say
 from gateway.people.walking.motion import ORIGIN
+from gateway.words.own_command import install
 from schemas import keys
 from schemas.calibration import Calibration
 from schemas.telemetry import FrameRecord, GatewayState, Telemetry

@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Final
 
-from gateway.text import visible
+from gateway.words.text import visible
 
 NOBODY: Final = "this is no terminal, so nobody can be asked; --yes agrees"
 

@@ -15,12 +15,12 @@ from collections.abc import Iterable
 from typing import Final
 
 from gateway.errors import WalkError
-from gateway.people.walking import balance, gaits, tempo, ways
+from gateway.people.walking import balance, gait_speed, gaits, transitions
 from gateway.people.walking.balance import NOTHING, Felt, Senses
+from gateway.people.walking.feet import State, Swing
 from gateway.people.walking.motion import ORIGIN, STILL, BodyPose, Odometry, Posture, Velocity, carried, travelled
 from gateway.people.walking.planning import Planner, balanced
 from gateway.people.walking.robot import LIFT_M, WIDE_RAD, Pose, Robot, Stance, largest
-from gateway.people.walking.swing import State, Swing
 from schemas.robot import LEGS
 from schemas.telemetry import Telemetry
 
@@ -47,8 +47,8 @@ class Engine:
         self.gait_name, self._gait = gait, gaits.gait(gait)
         self._quick = self._gait
         """The gait at its present tempo."""
-        self._lift_m, self._climb = LIFT_M, ways.CLIMB
-        self._least_tempo = tempo.least(robot)
+        self._lift_m, self._climb = LIFT_M, transitions.CLIMB
+        self._least_tempo = gait_speed.least(robot)
         self._next_gait: str | None = None
         self.stance = robot.stance(BodyPose(robot.usual_m))
         """The stance in which the robot stands and walks."""
@@ -97,7 +97,7 @@ class Engine:
         pending = before.sits or before.moves or self._wanted or self._next_gait or self.lost
         target = STILL if pending or self._barred or before.goes_over(velocity) else velocity
         if self._cap[0] != (key := (target, self.stance, self._gait)):
-            most = tempo.TEMPO_SPARE / self._least_tempo
+            most = gait_speed.TEMPO_SPARE / self._least_tempo
             self._cap = key, largest(lambda part: self._stride_of(target.times(part)) <= most)
         _, cap = self._cap
         for _ in range(_TRIES):
@@ -111,7 +111,7 @@ class Engine:
                 before.velocity, before.moves, before.part = STILL, (), 0.0
                 self.limit, self._stuck = str(error), True
                 break
-            ratio, servo_id = tempo.fastest(self.robot, before.pose, after.pose, seconds)
+            ratio, servo_id = gait_speed.fastest(self.robot, before.pose, after.pose, seconds)
             slowest = servo_id if ratio > 1.0 else slowest
             if ratio <= 1.0:
                 self.state, self._stuck = after, False
@@ -171,7 +171,7 @@ class Engine:
         A foot that is being lowered counts.
         """
         left = [leg for leg in LEGS if leg not in self.lost]
-        lies = self.state.body.height_m < self.robot.lying_m + ways.ON_GROUND_M
+        lies = self.state.body.height_m < self.robot.lying_m + transitions.ON_GROUND_M
         return lies or balanced(self.robot, self.state, left)
 
     # ---- its state
@@ -188,7 +188,9 @@ class Engine:
             return Posture.MOVING
         if not state.sits:
             return Posture.STANDING
-        return Posture.SITTING if all(foot[2] < ways.ON_GROUND_M for foot in state.feet.values()) else Posture.LYING
+        return (
+            Posture.SITTING if all(foot[2] < transitions.ON_GROUND_M for foot in state.feet.values()) else Posture.LYING
+        )
 
     @property
     def pose(self) -> Pose:
@@ -224,7 +226,7 @@ class Engine:
         state = self.state
         hanging = [leg for leg in legs if state.feet[leg][2] > 0.0]
         if hanging and not state.sits:
-            state.moves, state.part = (ways.lowered(state.feet, hanging),), 0.0
+            state.moves, state.part = (transitions.lowered(state.feet, hanging),), 0.0
 
     # ---- one tick
 
@@ -261,9 +263,11 @@ class Engine:
         began = not state.velocity.moves and not state.swings
         self._hurry(state, target, seconds)
         stops_s = (
-            tempo.HALT_S if self.lost else min(tempo.needs_s(state.velocity), tempo.STOPS_WITHIN * self._gait.period_s)
+            gait_speed.HALT_S
+            if self.lost
+            else min(gait_speed.needs_s(state.velocity), gait_speed.STOPS_WITHIN * self._gait.period_s)
         )
-        velocity = tempo.slewed(state, target, seconds, stops_s)
+        velocity = gait_speed.slewed(state, target, seconds, stops_s)
         if velocity.moves:
             velocity = velocity.times(self._begun(state, velocity) if began else self._allowed(state, velocity))
         state.velocity = velocity
@@ -290,17 +294,19 @@ class Engine:
         gait, velocity = self._quick, state.velocity
         left = carried(swing.left, velocity, seconds)
         part = min(swing.part + seconds / gait.swing_s, 1.0)
-        if ways.across(swing.part) == 1.0:  # above its landing place: it comes straight down
+        if transitions.across(swing.part) == 1.0:  # above its landing place: it comes straight down
             x, y, _ = carried(state.feet[leg], velocity, seconds)
         else:
             rest, wide = self.stance.feet[leg], min(1.0, self.corrected_rad / WIDE_RAD)
             if wide:  # the more the body leans against its feet, the further out they rest
-                rest = ways.between(rest, self.robot.widened(self.stance.body)[leg], wide)
+                rest = transitions.between(rest, self.robot.widened(self.stance.body)[leg], wide)
             state.rests[leg] = rest
             landing = carried(state.rests[leg], velocity, -(gait.stance_s + state.paused_s) / 2)
             lands = carried(landing, velocity, -(1.0 - part) * gait.swing_s)
-            x, y, _ = ways.between(left, lands, ways.across(part))
-        height_m = min(LIFT_M, swing.left[2] * (1.0 - ways.across(part)) + self._lift_m * ways.up(part, self._climb))
+            x, y, _ = transitions.between(left, lands, transitions.across(part))
+        height_m = min(
+            LIFT_M, swing.left[2] * (1.0 - transitions.across(part)) + self._lift_m * transitions.up(part, self._climb)
+        )
         if swing.met_now(touches) and not swing.met:
             state.lateness = state.lateness.after(swing.late_s or (part - 1.0) * gait.swing_s)
         swing = swing._replace(left=left, part=part)
@@ -313,7 +319,7 @@ class Engine:
         state.landed(leg, touches, ends, velocity if velocity.moves else self.commanded)
 
     def _is_due(self, leg: int, clock: float) -> bool:
-        return gaits.phase(self._quick, leg, clock + ways.ALMOST) < (1 - self._quick.duty) / 2
+        return gaits.phase(self._quick, leg, clock + transitions.ALMOST) < (1 - self._quick.duty) / 2
 
     # ---- velocities
 
@@ -323,8 +329,8 @@ class Engine:
         walks = now.moves or bool(state.swings)
         if target.moves or not walks:
             stride = max(self._stride_of(target), self._stride_of(now))
-            state.tempo = tempo.towards(state.tempo, stride, self._least_tempo, seconds if walks else math.inf)
-        self._quick, self._lift_m, self._climb = tempo.at_tempo(self._gait, state.tempo)
+            state.tempo = gait_speed.towards(state.tempo, stride, self._least_tempo, seconds if walks else math.inf)
+        self._quick, self._lift_m, self._climb = gait_speed.at_tempo(self._gait, state.tempo)
 
     def _stride_of(self, velocity: Velocity) -> float:
         """Return the longest stride at the gait's usual tempo, as a part of its disc."""
@@ -337,7 +343,7 @@ class Engine:
     @property
     def _within_m(self) -> float:
         """Return how far (m) from its resting place a foot may stand."""
-        return self.stance.radius_m / ways.outward(self._gait.swing_s, self._gait.stance_s)
+        return self.stance.radius_m / transitions.outward(self._gait.swing_s, self._gait.stance_s)
 
     def _allowed(self, state: State, velocity: Velocity) -> float:
         """Return the part (0 to 1) of this velocity that keeps each standing foot in its disc until it is lifted."""
@@ -373,7 +379,7 @@ class Engine:
             )
         elif not target.moves:
             self._pace, self.limit = 1.0, self.limit if self._stuck else ""
-        elif self._pace < min(cap, tempo.SPEED_SPARE):
+        elif self._pace < min(cap, gait_speed.SPEED_SPARE):
             self.limit = f"the speed of servo {self._slowest} allows {100 * cap * self._pace:.0f} % of it"
         elif cap < 1.0:
             self.limit = f"the legs' strides reach {100 * cap:.0f} % of it"

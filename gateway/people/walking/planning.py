@@ -12,7 +12,7 @@ from gateway.people.walking.gaits import TRIPODS
 from gateway.people.walking.inverse import Angles
 from gateway.people.walking.motion import BodyPose, scaled
 from gateway.people.walking.robot import LIFT_M, Pose, Robot, Stance
-from gateway.people.walking.ways import ON_GROUND_M, Bend, Figure, Move, Shift, lowered, shift, steps
+from gateway.people.walking.transitions import ON_GROUND_M, Bend, Figure, Move, Shift, lowered, shift, steps
 from schemas.robot import LEGS
 
 Point = tuple[float, float]

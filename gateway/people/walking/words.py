@@ -8,7 +8,7 @@ from collections.abc import Collection
 from typing import Final
 
 from gateway.people.walking.motion import DOWN, Posture, WalkState
-from gateway.text import legs_named
+from gateway.words.text import legs_named
 from schemas.robot import LEGS
 from schemas.telemetry import GatewayState, Mode
 

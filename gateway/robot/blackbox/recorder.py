@@ -18,8 +18,8 @@ from pathlib import Path
 from threading import Lock
 from typing import Any, Final
 
-from gateway import __version__, durable
-from gateway.allowance import MOST_SOURCES, Allowance, AllowanceBySource
+from gateway import __version__
+from gateway.files import durable
 from gateway.host.directories import state_directory
 from gateway.host.worker import Worker
 from gateway.model import black_box as form
@@ -27,6 +27,7 @@ from gateway.model import elkapod
 from gateway.model.black_box import ACCEPTED, COPIED_SHARE, MOST_COPIES, copies_of, copy_path
 from gateway.model.calibration import RobotCalibration, report_of
 from gateway.model.elkapod import Measured
+from gateway.rate_limit import MOST_SOURCES, RateLimit, RateLimitBySource
 from gateway.robot.blackbox import ring as rings
 from gateway.robot.blackbox.ring import RecordRing
 from gateway.robot.core.events import Announce, Request, Result, Transmit
@@ -78,8 +79,8 @@ class RecordShares:
 
     def __init__(self, a_second: int) -> None:
         """Admit `a_second` records of all sources."""
-        self._of_all = Allowance(a_second, a_second)
-        self._of_one = AllowanceBySource(a_second * SHARE, int(a_second * SHARE))
+        self._of_all = RateLimit(a_second, a_second)
+        self._of_one = RateLimitBySource(a_second * SHARE, int(a_second * SHARE))
         self._omitted = Counter[str | None]()
 
     def admit(self, source: str | None, count: int, now_ns: int) -> bool:

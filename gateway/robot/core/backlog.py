@@ -19,7 +19,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final
 
-from gateway.allowance import NS_PER_MS, NS_PER_S
+from gateway.rate_limit import NS_PER_MS, NS_PER_S
 from gateway.robot.core.events import Command, Effect
 from gateway.robot.core.legs import Legs
 from gateway.robot.core.message import Verb

@@ -12,7 +12,7 @@ Only measurements advance the time here. The bus reports missing ones as a fault
 
 from typing import Any, Final
 
-from gateway.allowance import NS_PER_MS
+from gateway.rate_limit import NS_PER_MS
 from gateway.robot.core.events import Announce, BodyMeasured, Effect
 from gateway.robot.core.interlock import ALL_LEGS, Down, Interlock, Why
 from gateway.robot.core.legs import Legs

@@ -21,7 +21,7 @@ While fewer than `buttons_required` are alive, the supervisor starts and sets no
 from dataclasses import dataclass
 from typing import Final
 
-from gateway.allowance import NS_PER_MS
+from gateway.rate_limit import NS_PER_MS
 from gateway.robot.core.events import Announce, ButtonRequest, Command, Effect, RequestAnswer, Reset
 from gateway.robot.core.interlock import ALL_LEGS, Down, Interlock
 from gateway.robot.core.legs import Legs

@@ -8,7 +8,7 @@ from gateway.model.black_box import ACCEPTED, COALESCED
 from gateway.model.calibration import RobotCalibration
 from gateway.model.frames import OP_STOP, Frame, ServoOp
 from gateway.robot.core.message import Reply, Verb, value
-from gateway.text import legs_named
+from gateway.words.text import legs_named
 from schemas.calibration import CalibrationCommand
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Reason

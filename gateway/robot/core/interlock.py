@@ -5,7 +5,7 @@ A rule is a file with one such class, and a line in the supervisor's `ORDER`.
 
 from typing import Any, Final, Generic, NamedTuple, TypeVar
 
-from gateway.allowance import NS_PER_MS
+from gateway.rate_limit import NS_PER_MS
 from gateway.robot.core.events import Announce, Calibrate, Command, Effect, Event, Reset
 from gateway.robot.core.legs import Legs
 from gateway.robot.core.rules import Rules

@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from gateway.allowance import NS_PER_S
+from gateway.rate_limit import NS_PER_S
 from gateway.robot.core.events import Announce, Completed, Effect, EmergencyStop, EstopKept, Rejected, Reset
 from gateway.robot.core.interlock import Halt, Interlock
 from gateway.robot.core.legs import Legs

@@ -16,7 +16,7 @@ stops need no token.
 import hmac
 from typing import Any, Final
 
-from gateway.allowance import NS_PER_MS
+from gateway.rate_limit import NS_PER_MS
 from gateway.robot.core.events import Announce, Calibrate, Command, Effect, LeaseRequest, RequestAnswer, Reset
 from gateway.robot.core.interlock import Halt, Interlock, Why
 from gateway.robot.core.legs import Legs

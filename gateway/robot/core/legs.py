@@ -28,7 +28,7 @@ from gateway.robot.core.pace import Paces
 from gateway.robot.core.rules import Rules
 from gateway.robot.core.servo import OFF, RUNNING, WAITING, Servo
 from gateway.robot.core.stops import StopSchedule, stops
-from gateway.text import legs_named
+from gateway.words.text import legs_named
 from schemas.keys import LEGS_COMMAND
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Reason

@@ -9,9 +9,9 @@
 A stopped servo starts without steps, unless its angle is known.
 """
 
-from gateway.allowance import NS_PER_S
 from gateway.model.angle_limits import AngleLimits
 from gateway.model.frames import OP_START, SETS, STARTS, ServoOp
+from gateway.rate_limit import NS_PER_S
 from gateway.robot.core.leg import Leg
 from gateway.robot.core.rules import Rules
 from gateway.robot.core.servo import RUNNING, Servo

@@ -7,7 +7,7 @@ from typing import Final, final, get_args
 from pydantic import ValidationError
 
 from gateway.robot.core.message import value
-from gateway.text import BOM, decimal_comma, visible
+from gateway.words.text import BOM, decimal_comma, visible
 from schemas.button import ButtonRequest
 from schemas.command import MAX_PAYLOAD_BYTES, ServoSetpoint
 from schemas.lease import LeaseRequest

@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass, field
 
-from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.model.frames import STOP_REPEAT_MS, STOP_REPEATS
+from gateway.rate_limit import NS_PER_MS, NS_PER_S
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ would be due later than the landing's end.
 
 from typing import Final, Never
 
-from gateway.allowance import NS_PER_MS
+from gateway.rate_limit import NS_PER_MS
 from gateway.robot.core.events import Announce, Calibrate, Command, Effect
 from gateway.robot.core.interlock import ALL_LEGS, Interlock
 from gateway.robot.core.legs import Legs

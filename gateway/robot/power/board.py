@@ -15,7 +15,6 @@
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Final, Literal, NamedTuple
 
-from gateway.allowance import NS_PER_MS
 from gateway.model.power_board import (
     ASK_CURRENTS,
     CLEAR_ERROR,
@@ -29,6 +28,7 @@ from gateway.model.power_board import (
     read,
     set_supply,
 )
+from gateway.rate_limit import NS_PER_MS
 from gateway.robot.power.questions import BoardErrors, BoardQuestions
 
 REPEAT_NS: Final = 20 * NS_PER_MS

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 from gateway.errors import ConfigError, GatewayError
 from gateway.host.settings_table import PowerSettings
 from gateway.model.power_board import CanFrame
-from gateway.own_command import install
+from gateway.words.own_command import install
 
 if TYPE_CHECKING:
     import can

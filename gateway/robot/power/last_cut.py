@@ -8,9 +8,9 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final
 
-from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.host.settings_table import PowerSettings
 from gateway.model.power_board import OUTPUTS
+from gateway.rate_limit import NS_PER_MS, NS_PER_S
 from gateway.robot.power.interface import open_bus, receive, send
 
 if TYPE_CHECKING:

@@ -17,11 +17,11 @@ from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
-from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.host import realtime
 from gateway.host.descriptors import NO_SPARE, Spare
 from gateway.host.settings_table import PowerSettings
 from gateway.model.power_board import CanFrame, set_supply
+from gateway.rate_limit import NS_PER_MS, NS_PER_S
 from gateway.robot.power.board import Confirmed, News, PowerBoard, Status
 from gateway.robot.power.interface import LineError, open_bus, receive, send
 

@@ -17,8 +17,8 @@ from collections.abc import Mapping
 from itertools import cycle
 from typing import Final
 
-from gateway.allowance import NS_PER_MS
 from gateway.model.power_board import ASK_CURRENTS, ASK_ERROR, ASK_RAILS, CLEAR_ERROR, CanFrame
+from gateway.rate_limit import NS_PER_MS
 
 ASK_NS: Final = 10 * NS_PER_MS
 SILENT_QUESTIONS: Final = 10

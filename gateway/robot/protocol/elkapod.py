@@ -10,10 +10,10 @@ from collections import deque
 from collections.abc import Collection, Mapping, Sequence
 from typing import Final
 
-from gateway.allowance import NS_PER_MS
 from gateway.model import elkapod
 from gateway.model.elkapod import AnswerError, Measured
 from gateway.model.frames import OP_START, OP_STOP, Frame
+from gateway.rate_limit import NS_PER_MS
 from schemas.robot import SERVO_IDS
 
 START_CYCLES: Final = 2

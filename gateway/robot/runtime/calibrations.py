@@ -18,10 +18,9 @@ from typing import Final, get_args
 
 from pydantic import ValidationError
 
-from gateway import durable, nesting
 from gateway.errors import ConfigError
+from gateway.files import durable, nesting
 from gateway.model.calibration import RobotCalibration, changed, report_of
-from gateway.own_command import command
 from gateway.robot.core.calibrating import UNTIL_TRUSTED
 from gateway.robot.core.events import Calibrate, CalibrationSaved, SaveCalibration
 from gateway.robot.core.message import Reply
@@ -30,6 +29,7 @@ from gateway.robot.host.disk import DiskWriter, StateFolder
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.request_answers import PAUSE_S, RequestAnswers
 from gateway.robot.zenoh_io.receiver import OwnersTask
+from gateway.words.own_command import command
 from schemas import keys
 from schemas.calibration import CalibrationCommand, ServoChange, ServoName
 from schemas.telemetry import Ack, Reason

@@ -20,8 +20,8 @@ from typing import Annotated, Final, NamedTuple
 
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, ValidationError
 
-from gateway import durable
 from gateway.errors import ConfigError
+from gateway.files import durable
 from gateway.host.realtime import PAGE_PRIORITY, prefer_thread
 from gateway.host.worker import in_thread
 from gateway.robot.core.events import Announce, EstopKept

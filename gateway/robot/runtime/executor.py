@@ -28,7 +28,7 @@ from gateway.robot.core.rejections import echo_of
 from gateway.robot.runtime.report import RobotReports
 from gateway.robot.runtime.supply import RobotSupply
 from gateway.robot.spi import BatchReport, Wire
-from gateway.text import legs_named
+from gateway.words.text import legs_named
 from schemas.telemetry import Ack, Cause, Kind, Reason
 
 logger = logging.getLogger(__name__)

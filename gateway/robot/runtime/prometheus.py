@@ -29,12 +29,12 @@ from prometheus_client.metrics_core import (
 from prometheus_client.registry import Collector
 
 from gateway import __version__
-from gateway.endpoints import is_local
 from gateway.errors import ConfigError
 from gateway.host import logs
 from gateway.host.realtime import PAGE_PRIORITY, prefer_thread
 from gateway.robot.protocol.latency import BOUNDS_US, Latency
 from gateway.robot.runtime.conductor import Conductor
+from gateway.zenoh.endpoints import is_local
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Cause, Kind, Mode, PowerReport, Reason, Telemetry
 

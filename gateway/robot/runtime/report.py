@@ -11,11 +11,11 @@ from typing import Any, Final
 from pydantic import BaseModel
 
 from gateway import __version__
-from gateway.allowance import AllowanceBySource
 from gateway.host.settings_table import ServoLimits
 from gateway.model import power_board
 from gateway.model.elkapod import Measured
 from gateway.model.telemetry import report_of
+from gateway.rate_limit import RateLimitBySource
 from gateway.robot.blackbox.recorder import LIMITED, Recorder, Written
 from gateway.robot.core.events import Announce, Sender
 from gateway.robot.core.intake import named_source
@@ -108,7 +108,7 @@ class RobotReports:
         self.metrics = Metrics()
         self.estop: Received | str | None = None
         """The latest emergency stop: its request, whose payload is parsed after its Stops, or its source."""
-        self._allowances = {kind: AllowanceBySource(EVENTS_A_SECOND, EVENTS_AT_ONCE) for kind in LIMITED}
+        self._allowances = {kind: RateLimitBySource(EVENTS_A_SECOND, EVENTS_AT_ONCE) for kind in LIMITED}
         self._started_ns = self.clock()
         limits, wire = self.settings.limits, self.settings.wire
         each = {str(servo): asdict(limits.servos.get(str(servo), ServoLimits())) for servo in SERVO_IDS}

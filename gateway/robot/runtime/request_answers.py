@@ -15,8 +15,8 @@ import zenoh
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from gateway import certs
-from gateway.allowance import Allowance
-from gateway.nonces import Nonces
+from gateway.certs.proof import Nonces
+from gateway.rate_limit import RateLimit
 from gateway.robot.core.events import ButtonRequest, LeaseRequest, RequestAnswer, Sender
 from gateway.robot.core.intake import is_json
 from gateway.robot.core.message import Reply
@@ -114,7 +114,7 @@ class _ProvedAnswers(RequestAnswers):
         self._wall_clock = wall_clock
         self._fresh = fresh
         self._nonces = Nonces(NONCE_NS)
-        self._checks = Allowance(CHECKS_PER_S, CHECKS_PER_S)
+        self._checks = RateLimit(CHECKS_PER_S, CHECKS_PER_S)
 
     def read(self, payload: bytes, now_ns: int, reply: Reply, source: str | None = None, /) -> OwnersTask:
         try:

@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import zenoh
 from pydantic import ValidationError
 
-from gateway import certs, durable
+from gateway import certs
 from gateway.certs import LAPTOP_ROLES, access
 from gateway.errors import ConfigError
+from gateway.files import durable
 from gateway.host.directories import state_directory
 from gateway.robot.core.events import NOBODY, Announce
 from gateway.robot.core.message import Reply
@@ -26,7 +27,7 @@ from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.request_answers import PAUSE_S, RequestAnswers
 from gateway.robot.settings import Settings
 from gateway.robot.zenoh_io.receiver import OwnersTask
-from gateway.zenoh_config import CA, get
+from gateway.zenoh.config import CA, get
 from schemas import keys
 from schemas.revocation import MAX_REVOCATION_BYTES, RevocationAck, RevocationRequest
 from schemas.telemetry import Kind, Reason, RevocationsReport

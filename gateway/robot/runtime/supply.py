@@ -16,9 +16,9 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
-from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.model.frames import legs_of
 from gateway.model.power_board import SUPPLY_BATTERY_MV
+from gateway.rate_limit import NS_PER_MS, NS_PER_S
 from gateway.robot.core.events import Announce, PowerSeen
 from gateway.robot.core.message import Received, Verb
 from gateway.robot.core.supervisor import Supervisor

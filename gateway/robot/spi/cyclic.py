@@ -13,11 +13,11 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, suppress
 from typing import Final
 
-from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.errors import ControllerRestartedError, ControllerSilentError, SpiError
 from gateway.host import realtime
 from gateway.model.elkapod import Measured
 from gateway.model.frames import STOP_REPEAT_MS, STOP_REPEATS, Frame
+from gateway.rate_limit import NS_PER_MS, NS_PER_S
 from gateway.robot.protocol.elkapod import SILENT_NS, Commanded, SignsOfLife
 from gateway.robot.spi import BatchReport, DuplexDevice, Sent, Wire
 from gateway.robot.spi.uart import Uart

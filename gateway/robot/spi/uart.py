@@ -9,7 +9,7 @@ from typing import Final, Protocol
 from gateway.errors import DeviceHeldError, SpiError
 from gateway.host.descriptors import NO_SPARE, Spare
 from gateway.model.elkapod import UART_BAUD
-from gateway.own_command import install
+from gateway.words.own_command import install
 
 _MOST_BYTES: Final = 4096
 """The kernel's buffer for a UART, so that one call empties it."""

@@ -22,12 +22,12 @@ from typing import Any, Final
 import zenoh
 from zenoh.handlers import RingChannel
 
-from gateway.allowance import Allowance
 from gateway.certs import BUTTON, OPERATOR
 from gateway.certs.access import role_of
-from gateway.endpoints import host_and_port
 from gateway.host.realtime import PAGE_PRIORITY, prefer_thread
-from gateway.limits import MAX_SESSIONS, OPERATORS_PLACES
+from gateway.rate_limit import RateLimit
+from gateway.zenoh.endpoints import host_and_port
+from gateway.zenoh.limits import MAX_SESSIONS, OPERATORS_PLACES
 
 VISITORS: Final = MAX_SESSIONS - OPERATORS_PLACES
 SAY_AGAIN_S: Final = 10.0
@@ -46,7 +46,7 @@ class ConnectionLimiter:
         self._count = count
         self._sessions: list[str] = []
         """The Zenoh ids, in the order of their arrival."""
-        self._warnings = Allowance(1 / SAY_AGAIN_S, 1)
+        self._warnings = RateLimit(1 / SAY_AGAIN_S, 1)
         # A ring for one event is enough: each event has all links read.
         self._listener = session.info.declare_link_events_listener(RingChannel(1), history=True)
         self.thread = threading.Thread(target=self._run, name="connection_limiter", daemon=True)

@@ -11,9 +11,9 @@ from typing import Final
 
 import zenoh
 
-from gateway.endpoints import ip_of, is_local
 from gateway.errors import ConfigError
-from gateway.zenoh_config import CA, TLS, connect_endpoints, get, listen_endpoints
+from gateway.zenoh.config import CA, TLS, connect_endpoints, get, listen_endpoints
+from gateway.zenoh.endpoints import ip_of, is_local
 
 _TLS_LINKS: Final = frozenset({"tls", "quic"})
 _CONTROLLED: Final = "access_control/enabled"

@@ -16,8 +16,8 @@ from typing import Final
 import zenoh
 from zenoh.handlers import Handler
 
-from gateway.allowance import AllowanceBySource
 from gateway.host.worker import Worker
+from gateway.rate_limit import RateLimitBySource
 from schemas.command import MAX_PAYLOAD_BYTES
 
 TokenCheck = Callable[[str], bool]
@@ -57,7 +57,7 @@ class QuestionRing:
         self._now_ns = now_ns
         self._first: deque[tuple[str, zenoh.Query]] = deque()
         self._others: deque[zenoh.Query] = deque()
-        self._allowance = AllowanceBySource(QUESTIONS_PER_S, QUESTIONS_AT_ONCE)
+        self._allowance = RateLimitBySource(QUESTIONS_PER_S, QUESTIONS_AT_ONCE)
         self._endings = endings
 
     def try_recv(self) -> zenoh.Query | None:

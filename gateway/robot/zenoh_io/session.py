@@ -23,13 +23,11 @@ from typing import Final
 import zenoh
 
 from gateway import certs
-from gateway.endpoints import host_and_port
 from gateway.errors import ConfigError, GatewayError, ZenohError
 from gateway.host.realtime import PAGE_PRIORITY, prefer_thread
 from gateway.host.settings_table import DEFAULT_LISTEN, ZenohSettings
-from gateway.limits import ACCEPT_PENDING, ACCEPT_TIMEOUT_MS, MAX_MESSAGE_SIZE, MAX_SESSIONS
 from gateway.robot.zenoh_io import exposure
-from gateway.zenoh_config import (
+from gateway.zenoh.config import (
     CA,
     TLS,
     connect_endpoints,
@@ -42,6 +40,8 @@ from gateway.zenoh_config import (
     scouting_and_shared_memory_off,
     why_not_opened,
 )
+from gateway.zenoh.endpoints import host_and_port
+from gateway.zenoh.limits import ACCEPT_PENDING, ACCEPT_TIMEOUT_MS, MAX_MESSAGE_SIZE, MAX_SESSIONS
 
 UNREAD_US: Final = 20_000
 """How long a reply may wait for a client that does not read, before Zenoh closes that client's link.

@@ -6,8 +6,8 @@ from typing import cast
 import pytest
 
 from gateway.client import RejectedError
-from gateway.people.client.requests import LIFE, REGISTRATION_TRIES, Button
-from gateway.people.client.requests import Requests as ClientRequests
+from gateway.people.client.lease_requests import LIFE, REGISTRATION_TRIES, Button
+from gateway.people.client.lease_requests import Requests as ClientRequests
 from schemas.button import ButtonAck
 from schemas.telemetry import Ack, Reason
 
@@ -43,7 +43,7 @@ class Requests:
 @pytest.fixture
 def requests(monkeypatch: pytest.MonkeyPatch) -> Requests:
     made = Requests()
-    monkeypatch.setattr("gateway.people.client.requests.time.monotonic", lambda: made.now_s)
+    monkeypatch.setattr("gateway.people.client.lease_requests.time.monotonic", lambda: made.now_s)
     return made
 
 

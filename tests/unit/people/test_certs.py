@@ -18,16 +18,17 @@ from cryptography import x509
 from cryptography.hazmat.primitives import serialization
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from gateway import certs, durable
+from gateway import certs
 from gateway.certs import access, authority, revocation
 from gateway.certs.files import publish
 from gateway.certs.folder import load_ca
 from gateway.certs.revocation import RevocationList, Revoked
 from gateway.errors import ConfigError
+from gateway.files import durable
 from gateway.host.settings_table import ZenohSettings
 from gateway.robot.runtime import revocations
 from gateway.robot.settings import Settings
-from gateway.zenoh_config import client_config, get, load_config
+from gateway.zenoh.config import client_config, get, load_config
 from schemas.revocation import RevocationAck
 from tests.support.certs_folder import (
     DAY,

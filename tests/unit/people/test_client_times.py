@@ -8,14 +8,14 @@ import pytest
 from gateway.errors import UnreachedError
 from gateway.people.client import pace as pace_module
 from gateway.people.client import payloads as payloads_module
-from gateway.people.client import silence as silence_module
-from gateway.people.client.live import Receiver
 from gateway.people.client.pace import MOST_DEG, RADIANS_S, Radians
 from gateway.people.client.patience import ATTEMPT_S, OTHER_WAY_S, Patience, Query, QuestionStep
-from gateway.people.client.silence import WHY_EVERY_S, Silence
 from gateway.people.commands.options import Reach
 from gateway.people.console.link import GatewayLink
 from gateway.people.console.pages.page_messages import Message, link_message
+from gateway.people.watching import silence as silence_module
+from gateway.people.watching.live import Receiver
+from gateway.people.watching.silence import WHY_EVERY_S, Silence
 from tests.support.published import state
 
 END_S = 10.0

@@ -4,7 +4,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import Bundle, RuleBasedStateMachine, consumes, invariant, precondition, rule
 
-from gateway.people.client.confirmed_stop import (
+from gateway.people.watching.confirmed_stop import (
     AGAIN_NS,
     MAX_PRESSES,
     REQUESTS_AT_ONCE,

@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import pytest
 
-from gateway import durable
+from gateway.files import durable
 from gateway.people.console.server import listener
 from gateway.people.console.server.auth import Auth
 from gateway.people.console.server.listener import MAX_CONNECTIONS, HttpListener

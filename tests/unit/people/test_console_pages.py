@@ -13,7 +13,6 @@ import pytest
 from gateway import geometry
 from gateway.errors import DisconnectedError
 from gateway.people.client.blocking import Client
-from gateway.people.client.confirmed_stop import AGAIN_NS
 from gateway.people.console.pages.page_lease import PageLease
 from gateway.people.console.pages.page_messages import DriveRequest, Message, ack_message, event_message, link_message
 from gateway.people.console.pages.page_tasks import KEPT_MESSAGES, EndError, Outgoing, PageTasks, Stops, send_stopping
@@ -21,7 +20,8 @@ from gateway.people.console.pages.pages import Page, Pages
 from gateway.people.walking.engine import Engine
 from gateway.people.walking.planning import lying_deg
 from gateway.people.walking.robot import Robot
-from gateway.people.walking.ways import ON_GROUND_M
+from gateway.people.walking.transitions import ON_GROUND_M
+from gateway.people.watching.confirmed_stop import AGAIN_NS
 from schemas.lease import LeaseAck
 from schemas.robot import LEGS
 from schemas.telemetry import Ack, Event, Telemetry, WireReport

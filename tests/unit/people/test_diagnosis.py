@@ -13,9 +13,9 @@ import pytest
 from gateway import certs
 from gateway.certs import authority
 from gateway.people.client.diagnosis import Stage, diagnose, validity
-from gateway.people.client.requests import Identity
+from gateway.people.client.lease_requests import Identity
 from gateway.people.commands import why
-from gateway.zenoh_config import client_config, connect_endpoints
+from gateway.zenoh.config import client_config, connect_endpoints
 
 BEGIN = dt.datetime(2026, 1, 1, tzinfo=dt.UTC)
 END = dt.datetime(2028, 1, 1, tzinfo=dt.UTC)

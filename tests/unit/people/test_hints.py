@@ -8,8 +8,8 @@ from typing import Final
 
 import pytest
 
-from gateway.own_command import CONNECT_VARIABLE, DEFAULT_ENDPOINT, command, reach_by, this_command
 from gateway.people.terminal import hint, say
+from gateway.words.own_command import CONNECT_VARIABLE, DEFAULT_ENDPOINT, command, reach_by, this_command
 from tests.support.command import run_here
 from tests.support.remedies import texts
 

@@ -15,9 +15,8 @@ from cryptography.hazmat.primitives.asymmetric import ec, ed25519, padding, rsa
 from cryptography.x509.oid import NameOID
 
 from gateway.certs import authority
-from gateway.certs.proof import WATCHING, ProofChecker
-from gateway.nonces import Nonces
-from gateway.people.client.requests import Identity
+from gateway.certs.proof import WATCHING, Nonces, ProofChecker
+from gateway.people.client.lease_requests import Identity
 from gateway.robot.core.events import RequestAnswer, Sender
 from gateway.robot.core.message import Reply
 from gateway.robot.runtime.conductor import Conductor

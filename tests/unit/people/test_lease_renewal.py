@@ -23,8 +23,8 @@ from gateway import certs
 from gateway.certs import authority
 from gateway.errors import ConfigError, DisconnectedError, LeaseError, LeaseLostError
 from gateway.people.client.lease import TRY_AGAIN_S, Lease
+from gateway.people.client.lease_requests import Identity
 from gateway.people.client.renewal import RENEWALS, Holds, Renewal
-from gateway.people.client.requests import Identity
 from schemas.lease import LeaseAck
 from schemas.telemetry import Ack, Event, Kind, Reason
 from tests.support.published import event

@@ -8,8 +8,8 @@ from typing import Any, cast
 import zenoh
 
 from gateway.client import Client
-from gateway.people.client.live import Live, OnLoop, Receiver
 from gateway.people.client.subscriptions import KEPT_EVENTS
+from gateway.people.watching.live import Live, OnLoop, Receiver
 from schemas.telemetry import GatewayState, Kind, Telemetry
 from tests.support.published import WALL, event, state
 

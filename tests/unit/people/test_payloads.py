@@ -13,8 +13,8 @@ import pytest
 
 from gateway.errors import OutOfRangeError, WalkError
 from gateway.people.client.payloads import leg_number, leg_payload, legs_angles, legs_payload, number, servo_number
+from gateway.people.walking.gait_speed import Distance
 from gateway.people.walking.motion import Velocity
-from gateway.people.walking.tempo import Distance
 from schemas.telemetry import Reason
 
 

@@ -12,7 +12,7 @@ import pytest
 from gateway.model.black_box import MISTAKE, RING_FILE
 from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.model.frames import Framing, decode
-from gateway.people.recorder import ring_reader as rec
+from gateway.people.incidents import ring_reader as rec
 from gateway.robot.blackbox import recorder as recording
 from gateway.robot.blackbox import ring as rings
 from gateway.robot.core.events import Announce

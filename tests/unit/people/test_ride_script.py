@@ -13,10 +13,10 @@ import pytest
 from gateway.errors import WalkError
 from gateway.people.client.walk import Walk
 from gateway.people.commands.walk.script import AtOnce, EndRequests, go
+from gateway.people.walking.gait_speed import MOST_M, MOST_RAD, SLEW_M_S2, Distance
 from gateway.people.walking.motion import STILL, BodyPose, Odometry, Posture, Velocity, WalkState
 from gateway.people.walking.ride import Ride
-from gateway.people.walking.tempo import MOST_M, MOST_RAD, SLEW_M_S2, Distance
-from gateway.people.walking.ways import LONGEST_S
+from gateway.people.walking.transitions import LONGEST_S
 from tests.support.ridden import Ridden, standing
 from tests.support.walked import TICK_S
 

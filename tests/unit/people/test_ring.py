@@ -16,13 +16,13 @@ from gateway.model import black_box as form
 from gateway.model.black_box import INCIDENT_NAMES, MISTAKE, RING_FILE
 from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.model.frames import STOP, Op, ServoOp, stop_leg
-from gateway.people.recorder import export
-from gateway.people.recorder import ring_reader as rec
+from gateway.people.incidents import export
+from gateway.people.incidents import ring_reader as rec
+from gateway.people.incidents.find import CRASH, Incident, find
+from gateway.people.incidents.messages import messages
+from gateway.people.incidents.ring_reader import NoRingError
+from gateway.people.incidents.story import WORDS, frames_in, headline, story
 from gateway.people.recorder.drawing import JOINT_STATES
-from gateway.people.recorder.incidents import CRASH, Incident, find
-from gateway.people.recorder.messages import messages
-from gateway.people.recorder.ring_reader import NoRingError
-from gateway.people.recorder.story import WORDS, frames_in, headline, story
 from gateway.robot.blackbox.ring import RecordRing
 from gateway.robot.core.events import Announce
 from gateway.robot.runtime.calibrations import Calibrations

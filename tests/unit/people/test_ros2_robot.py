@@ -10,9 +10,9 @@ from gateway.geometry import load
 from gateway.geometry.kinematics import Quaternion, Vector, plus, rotated, times
 from gateway.model.calibration import RobotCalibration, ServoMapping, report_of
 from gateway.model.frames import Frame, OneLeg, OneServo, Op, ServoOp, stop_leg
+from gateway.people.incidents.messages import RecordedMessage
+from gateway.people.incidents.story import frames_in
 from gateway.people.recorder.drawing import encode
-from gateway.people.recorder.messages import RecordedMessage
-from gateway.people.recorder.story import frames_in
 from gateway.people.ros2.commanded import UserAngles
 from gateway.people.ros2.messages import Imu, JointState, String, Time
 from gateway.people.ros2.received import SILENT_S, Rivals, read_each

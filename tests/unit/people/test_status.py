@@ -7,8 +7,8 @@ from datetime import timedelta
 import pytest
 
 from gateway import certs
-from gateway.people.client.dangers import UNCONFIRMED
 from gateway.people.commands.status import SILENT_AFTER_NS, Follower, NewsLine, sentences
+from gateway.people.watching.dangers import UNCONFIRMED
 from schemas.telemetry import (
     Battery,
     ButtonsReport,

@@ -11,8 +11,11 @@ from rich.cells import cell_len
 from rich.text import Text
 
 from gateway.errors import DisconnectedError, UnansweredError
-from gateway.people.client.confirmed_stop import UntilConfirmed
-from gateway.people.client.dangers import (
+from gateway.people.commands.send import command_report, estop_report
+from gateway.people.commands.walk.screen import SMALL_ROWS, fitted
+from gateway.people.console.pages.pages import Page, Pages
+from gateway.people.watching.confirmed_stop import UntilConfirmed
+from gateway.people.watching.dangers import (
     KEY_PATIENCE_NS,
     PATIENCE_NS,
     SHOWN_NS,
@@ -24,9 +27,6 @@ from gateway.people.client.dangers import (
     power_now,
     tone_of,
 )
-from gateway.people.commands.send import command_report, estop_report
-from gateway.people.commands.walk.screen import SMALL_ROWS, fitted
-from gateway.people.console.pages.pages import Page, Pages
 from schemas.telemetry import Ack, GatewayState, Kind, Mode, PowerReport
 from tests.support.published import event, state
 from tests.unit.people.test_console_pages import OpenPage

@@ -8,8 +8,9 @@ from types import ModuleType
 
 import pytest
 
-from gateway.people.client import confirmed_stop, pace, patience, renewal, silence
+from gateway.people.client import pace, patience, renewal
 from gateway.people.walking import ride, words
+from gateway.people.watching import confirmed_stop, silence
 
 TIMES: dict[tuple[ModuleType, str], float] = {
     (confirmed_stop, "AGAIN_NS"): 100_000_000,

@@ -7,8 +7,8 @@ from typing import Final
 
 import pytest
 
-from gateway.allowance import NS_PER_MS
 from gateway.model.frames import Op
+from gateway.rate_limit import NS_PER_MS
 from gateway.robot.core.backlog import START_WAIT_NS
 from gateway.robot.core.message import Verb
 from gateway.robot.core.rules import Rules

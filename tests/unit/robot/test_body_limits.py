@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import pytest
 
-from gateway.allowance import NS_PER_MS
+from gateway.rate_limit import NS_PER_MS
 from gateway.robot.core.events import Transmit
 from gateway.robot.core.rules import Rules
 from gateway.robot.core.supervisor import Supervisor

@@ -4,7 +4,7 @@ from typing import Final
 
 import pytest
 
-from gateway.allowance import NS_PER_MS
+from gateway.rate_limit import NS_PER_MS
 from gateway.robot.core.buttons import MOST_OF_ONE, MOST_UNPROVED
 from gateway.robot.core.events import ButtonRequest, RequestAnswer
 from gateway.robot.core.rules import Rules

@@ -15,7 +15,7 @@ import pytest
 from gateway.errors import SpiError
 from gateway.model.black_box import RING_FILE
 from gateway.model.frames import PREAMBLE_ZEROS, ZERO, Framing, OneLeg, Op, ServoOp, stop_leg
-from gateway.people.recorder import ring_reader as rec
+from gateway.people.incidents import ring_reader as rec
 from gateway.robot.core.events import NOBODY, Transmit
 from gateway.robot.core.message import Verb
 from schemas import keys

@@ -16,8 +16,8 @@ from typing import Any
 
 import pytest
 
-from gateway import durable
 from gateway.errors import ConfigError
+from gateway.files import durable
 from gateway.robot import service
 from gateway.robot.core.events import EmergencyStop
 from gateway.robot.host.disk import StateFolder

@@ -7,12 +7,12 @@ from typing import Any
 import pytest
 import zenoh
 
-from gateway.endpoints import is_local
 from gateway.errors import ConfigError
 from gateway.host.settings_table import ZenohSettings
 from gateway.robot.zenoh_io import exposure
 from gateway.robot.zenoh_io.session import service_config
-from gateway.zenoh_config import listen_endpoints
+from gateway.zenoh.config import listen_endpoints
+from gateway.zenoh.endpoints import is_local
 from tests.support.gateway_process import dialling
 
 MTLS = {"transport/link/tls/enable_mtls": True, "transport/link/tls/root_ca_certificate": "/ca.pem"}

@@ -8,12 +8,12 @@ from typing import Final
 
 import pytest
 
-from gateway import durable
+from gateway.files import durable
 from gateway.model import black_box as form
 from gateway.model.black_box import COPIED_SHARE, MOST_COPIES, RING_FILE, copies_of, copy_path
 from gateway.onboard import black_box
-from gateway.people.recorder import ring_reader as rec
-from gateway.people.recorder.incidents import find
+from gateway.people.incidents import ring_reader as rec
+from gateway.people.incidents.find import find
 from gateway.robot.blackbox import recorder
 from gateway.robot.blackbox.recorder import SHARE, RecordShares
 from gateway.robot.blackbox.ring import RecordRing

@@ -10,9 +10,9 @@ from types import SimpleNamespace
 import can
 import pytest
 
-from gateway.allowance import NS_PER_MS
 from gateway.host.settings_table import PowerSettings
 from gateway.model.power_board import ALL, set_supply
+from gateway.rate_limit import NS_PER_MS
 from gateway.robot.power import last_cut
 from gateway.robot.power.interface import LineError
 from gateway.robot.power.last_cut import SupplyCut

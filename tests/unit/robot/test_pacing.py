@@ -5,8 +5,8 @@ from itertools import pairwise
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.model.angle_limits import AngleLimits
+from gateway.rate_limit import NS_PER_MS, NS_PER_S
 from gateway.robot.core.gates.rate import RateSlots
 from gateway.robot.core.pace import Paces, step
 from gateway.robot.core.rules import Rules

@@ -4,7 +4,6 @@ import random
 
 import pytest
 
-from gateway.allowance import NS_PER_MS
 from gateway.model.power_board import (
     ALL,
     ASK_CURRENTS,
@@ -17,6 +16,7 @@ from gateway.model.power_board import (
     CanFrame,
     set_supply,
 )
+from gateway.rate_limit import NS_PER_MS
 from gateway.robot.power.board import Confirmed, News, PowerBoard, Status, Then
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Kind

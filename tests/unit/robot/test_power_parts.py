@@ -7,7 +7,6 @@ from typing import Final, cast
 
 import pytest
 
-from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.model.power_board import (
     ASK_CURRENTS,
     ASK_ERROR,
@@ -15,6 +14,7 @@ from gateway.model.power_board import (
     CLEAR_ERROR,
     CanFrame,
 )
+from gateway.rate_limit import NS_PER_MS, NS_PER_S
 from gateway.robot.core.rules import Rules
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.power.board import Confirmed, Status, Then

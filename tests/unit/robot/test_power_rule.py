@@ -5,8 +5,8 @@ Each step is judged by the oracle.
 
 from typing import Final
 
-from gateway.allowance import NS_PER_MS
 from gateway.model.frames import SETS, STARTS
+from gateway.rate_limit import NS_PER_MS
 from gateway.robot.core.events import BusOpened, Command, PowerSeen, TimePassed, Transmit
 from gateway.robot.core.rules import Rules
 from gateway.robot.core.supervisor import Supervisor

@@ -9,7 +9,7 @@ from typing import Any, cast
 import pytest
 import zenoh
 
-from gateway.allowance import MOST_SOURCES, NS_PER_S
+from gateway.rate_limit import MOST_SOURCES, NS_PER_S
 from gateway.robot.zenoh_io import questions
 
 DRIVER, KITCHEN = "d" * 32, "b" * 32

@@ -5,7 +5,7 @@ from typing import Final
 
 import pytest
 
-from gateway.allowance import NS_PER_S
+from gateway.rate_limit import NS_PER_S
 from gateway.robot.core import events
 from gateway.robot.core.supervisor import IllegalEvent
 from schemas.telemetry import Mode

@@ -13,10 +13,10 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-from gateway.allowance import NS_PER_MS
 from gateway.errors import SpiError
 from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.model.frames import STOP, Framing, Op, ServoOp, decode, servo_ids_of
+from gateway.rate_limit import NS_PER_MS
 from gateway.robot.core import events
 from gateway.robot.core.rules import Rules
 from gateway.robot.core.supervisor import Supervisor

@@ -2,7 +2,7 @@
 
 import pytest
 
-from gateway.allowance import NS_PER_MS
+from gateway.rate_limit import NS_PER_MS
 from tests.support.scenes import play
 
 WHOLE = "rules starts_whole=True\n"

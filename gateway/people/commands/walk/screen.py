@@ -22,8 +22,6 @@ from rich.text import Text
 
 from gateway.errors import GatewayError, LeaseError, ZenohError
 from gateway.people.client.blocking import Client
-from gateway.people.client.confirmed_stop import UntilConfirmed
-from gateway.people.client.dangers import ALARM, Remark
 from gateway.people.client.walk import Walk
 from gateway.people.commands import reach
 from gateway.people.commands.reach import Connection
@@ -32,7 +30,9 @@ from gateway.people.terminal import REST_S, Keyboard, hint, keys_at_once, wake_o
 from gateway.people.walking.gaits import GAITS
 from gateway.people.walking.motion import STILL, Velocity
 from gateway.people.walking.words import ground_now
-from gateway.text import visible
+from gateway.people.watching.confirmed_stop import UntilConfirmed
+from gateway.people.watching.dangers import ALARM, Remark
+from gateway.words.text import visible
 from schemas.telemetry import Event, GatewayState, Mode
 
 FRAME_S: Final = 0.1

@@ -4,7 +4,7 @@ The console decides by what it knows: a picture is shown once the page has asked
 or whose picture does not arrive, moves nothing.
 """
 
-from gateway.allowance import NS_PER_MS
+from gateway.rate_limit import NS_PER_MS
 
 
 class PageCamera:

@@ -13,8 +13,8 @@ from typing import Annotated, Any, Final, Literal, Self, get_args
 from pydantic import BaseModel, Field, TypeAdapter, model_validator
 from pydantic_core import to_json
 
-from gateway.people.client.dangers import tone_of
 from gateway.people.walking.gaits import GAITS
+from gateway.people.watching.dangers import tone_of
 from schemas import keys
 from schemas.command import Closed, EstopNumber, LegCommand, LegsCommand, MoveCommand, SentMs, Source, StopCommand
 from schemas.telemetry import Ack, Event

@@ -11,9 +11,9 @@ from contextlib import nullcontext
 from functools import partial
 from typing import Any, Final, Generic, TypeVar
 
-from gateway.people.client.confirmed_stop import REQUESTS_AT_ONCE, ConfirmedStop, Press, StopRequest
-from gateway.people.client.dangers import confirmed_off
 from gateway.people.console.pages.page_messages import Message, json_of
+from gateway.people.watching.confirmed_stop import REQUESTS_AT_ONCE, ConfirmedStop, Press, StopRequest
+from gateway.people.watching.dangers import confirmed_off
 from schemas.telemetry import Ack
 
 

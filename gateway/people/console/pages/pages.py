@@ -21,13 +21,9 @@ from typing import Any, Final
 import segno
 from pydantic import ValidationError
 
-from gateway.allowance import Allowance
 from gateway.errors import GatewayError
 from gateway.model.staleness import Staleness
-from gateway.people.client.confirmed_stop import Press
-from gateway.people.client.dangers import PowerAlarm, power_now
 from gateway.people.client.lease import RELEASE_S
-from gateway.people.client.live import Receiver
 from gateway.people.console.link import Shared
 from gateway.people.console.pages import page_messages as messages
 from gateway.people.console.pages.page_calibration import PageCalibration
@@ -36,6 +32,10 @@ from gateway.people.console.pages.page_lease import PageLease, StopButton
 from gateway.people.console.pages.page_tasks import EndError, Outgoing, PageTasks, Stops, now_ns
 from gateway.people.console.pages.page_walk import WISH_SILENT_S, PageWalks
 from gateway.people.walking.words import robot_now
+from gateway.people.watching.confirmed_stop import Press
+from gateway.people.watching.dangers import PowerAlarm, power_now
+from gateway.people.watching.live import Receiver
+from gateway.rate_limit import RateLimit
 from schemas import keys
 from schemas.telemetry import Ack, BodyReport, Event, GatewayState, Kind, LimitsReport, Reason, Telemetry
 
@@ -86,7 +86,7 @@ class Pages(Receiver):
         self._max_age_ms = LimitsReport().max_age_ms
         self._link = messages.link_message("gone")
         self._events: deque[messages.Message] = deque(maxlen=PAST_EVENTS)
-        self._telemetry = Allowance(TELEMETRY_HZ, TELEMETRY_AT_ONCE)
+        self._telemetry = RateLimit(TELEMETRY_HZ, TELEMETRY_AT_ONCE)
 
     def __iter__(self) -> Iterator["Page"]:
         return iter(self._pages)

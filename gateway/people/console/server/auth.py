@@ -27,10 +27,10 @@ from aiohttp import web
 from multidict import MultiMapping
 from yarl import URL
 
-from gateway.allowance import NS_PER_S
-from gateway.nonces import Nonces
+from gateway.certs.proof import Nonces
 from gateway.people.console.server.sessions import Entry, Sessions
 from gateway.people.console.server.site import Site
+from gateway.rate_limit import NS_PER_S
 
 PAGE: Final = Path(__file__).parents[1] / "page"
 WEBSOCKET: Final = "/ws"

@@ -17,8 +17,8 @@ from typing import Final, NamedTuple
 import aiohttp
 from yarl import URL
 
-from gateway.allowance import NS_PER_S, Allowance
 from gateway.errors import ConfigError
+from gateway.rate_limit import NS_PER_S, RateLimit
 
 MAX_CAMERAS: Final = 4
 MAX_JPEG_BYTES: Final = 1_000_000
@@ -208,7 +208,7 @@ class Camera:
             raise CameraError(f"answers with HTTP status {answer.status}")
         if kind.get_content_maintype() != "multipart" or not boundary:
             raise CameraError("sends no MJPEG stream; name the stream's address, such as http://…:8080/stream")
-        parts, ages, allowance = Mjpeg(boundary), Ages(), Allowance(BYTES_A_SECOND, BYTES_A_SECOND)
+        parts, ages, allowance = Mjpeg(boundary), Ages(), RateLimit(BYTES_A_SECOND, BYTES_A_SECOND)
         async for data in answer.content.iter_any():
             for part in parts.feed(data):
                 silence.reschedule(asyncio.get_running_loop().time() + SILENT_S)

@@ -19,11 +19,11 @@ from aiohttp import WSMsgType, web
 from multidict import MultiMapping
 from yarl import URL
 
-from gateway.allowance import NS_PER_S, Allowance
 from gateway.people.console.pages.page_messages import MAX_MESSAGE_BYTES
 from gateway.people.console.pages.page_tasks import EndError
 from gateway.people.console.server.sessions import Entry
 from gateway.people.console.server.site import UNSENT_BYTES
+from gateway.rate_limit import NS_PER_S, RateLimit
 
 MAX_CONNECTIONS: Final = 96
 """Most connections without WebSockets. Each takes a descriptor, and 100 kB with TLS; a browser opens six for files."""
@@ -79,7 +79,7 @@ class Connection(web.RequestHandler):
         """Somebody without a session, or with one what is bounded apart."""
         self._tls = tls
         self._others = others
-        self._bytes = Allowance(1, UNKNOWN_BYTES)
+        self._bytes = RateLimit(1, UNKNOWN_BYTES)
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Called again once the handshake is over."""
@@ -109,7 +109,7 @@ class Connection(web.RequestHandler):
     def begin(self, serves: Literal["files", "page"], until_s: float | None) -> None:
         """Serve a request that has a session, and abort after `until_s` (None: never)."""
         if self.serves == "nobody":
-            self._bytes = Allowance(BYTES_A_SECOND, BYTES_A_SECOND)
+            self._bytes = RateLimit(BYTES_A_SECOND, BYTES_A_SECOND)
         self.serves = serves
         self._deadline.cancel()
         if until_s is not None:
@@ -147,7 +147,7 @@ class HttpListener:
         self._serve_page = serve_page
         self._server = web.Server(self._answer)
         self._open: dict[Connection, None] = {}
-        self._allowance = Allowance(CONNECTIONS_A_SECOND, CONNECTIONS_AT_ONCE)
+        self._allowance = RateLimit(CONNECTIONS_A_SECOND, CONNECTIONS_AT_ONCE)
 
     async def serve(self, listening: Sequence[socket.socket]) -> None:
         """Accept connections until it is cancelled."""
@@ -206,7 +206,7 @@ class WebSocket(web.WebSocketResponse):
             max_msg_size=MAX_MESSAGE_BYTES,
             writer_limit=0,  # each message waits until there is room for it
         )
-        self._frames = Allowance(FRAMES_A_SECOND, FRAMES_AT_ONCE)
+        self._frames = RateLimit(FRAMES_A_SECOND, FRAMES_AT_ONCE)
 
     async def take(self) -> str:
         """Return the next text message. Raises ConnectionError if closed, EndError for data that no page sends."""

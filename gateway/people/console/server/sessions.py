@@ -17,8 +17,8 @@ from typing import Final, Self
 
 from pydantic import BaseModel
 
-from gateway import durable
 from gateway.errors import ConfigError
+from gateway.files import durable
 from gateway.people.console.pages.page_messages import Role, least
 from gateway.people.console.server.boot_clock import Now, clocks
 

@@ -22,12 +22,12 @@ from urllib.parse import urlsplit
 
 from gateway.certs.authority import hosts_of
 from gateway.certs.files import read_certificate
-from gateway.endpoints import is_local
 from gateway.errors import AddressTakenError, ConfigError
 from gateway.host.directories import CONSOLE_STATE
-from gateway.own_command import this_command
 from gateway.people.commands.options import Reach
 from gateway.people.console.pages.page_messages import Role
+from gateway.words.own_command import this_command
+from gateway.zenoh.endpoints import is_local
 
 _HOST: Final = re.compile(r"(?P<name>[\w.-]+|\[[\da-f:.]+])(?::(?P<port>\d{1,5}))?", re.ASCII | re.IGNORECASE)
 LOCALHOST: Final = ("127.0.0.1", "::1")

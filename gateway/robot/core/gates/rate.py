@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Final
 
-from gateway.allowance import NS_PER_S
+from gateway.rate_limit import NS_PER_S
 
 BUCKET: Final = 3
 """At 50 Hz, Wi-Fi delivers a setpoint up to 15 ms early or late: up to 30 ms between two, which is one and a half

@@ -9,7 +9,7 @@ import tomllib
 from contextlib import suppress
 from typing import Any, Final
 
-from gateway.text import decimal_comma
+from gateway.words.text import decimal_comma
 
 MOST_LEVELS: Final = 100
 """gateway.json5 has 6."""

@@ -10,11 +10,11 @@ from typing import Final
 from gateway.errors import WalkError
 from gateway.geometry import MAX_SPEED_DEG_S
 from gateway.people.numbers import plain
+from gateway.people.walking.feet import State
 from gateway.people.walking.gaits import Gait
 from gateway.people.walking.motion import STILL, Odometry, Velocity, WalkState
 from gateway.people.walking.robot import LIFT_M, Pose, Robot
-from gateway.people.walking.swing import State
-from gateway.people.walking.ways import ALMOST, CLIMB, LONGEST_S
+from gateway.people.walking.transitions import ALMOST, CLIMB, LONGEST_S
 
 SLEW_M_S2: Final = 0.25
 """The largest acceleration over the ground."""

@@ -6,21 +6,21 @@ from fractions import Fraction
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.allowance import MOST_SOURCES, NS_PER_S, Allowance, AllowanceBySource
+from gateway.rate_limit import MOST_SOURCES, NS_PER_S, RateLimit, RateLimitBySource
 from gateway.robot.runtime.report import EVENTS_A_SECOND, EVENTS_AT_ONCE
 
 MS = 1_000_000
 
 
 def test_all_or_nothing() -> None:
-    allowance = Allowance(a_second=10, at_once=3)
+    allowance = RateLimit(a_second=10, at_once=3)
     assert not allowance.take(0, 4)
     assert allowance.is_full(0), "what was too much used nothing"
     assert allowance.take(0, 3)
 
 
 def test_once_in_ten_seconds() -> None:
-    allowance = Allowance(1 / 10, 1)
+    allowance = RateLimit(1 / 10, 1)
     assert [s for s in range(25) if allowance.take(s * NS_PER_S)] == [0, 10, 20]
 
 
@@ -32,7 +32,7 @@ def test_once_in_ten_seconds() -> None:
 def test_within_any_time_no_more_than_promised_and_the_wait_is_exact(
     a_second: Fraction, at_once: int, tries: list[tuple[int, int]]
 ) -> None:
-    allowance, now_ns = Allowance(float(a_second), at_once), 0
+    allowance, now_ns = RateLimit(float(a_second), at_once), 0
     taken: list[tuple[int, int]] = []
     for pause_ns, count in tries:
         now_ns += pause_ns
@@ -57,7 +57,7 @@ S = 1_000_000_000
 
 
 def test_names_of_a_second_ago_make_room() -> None:
-    limit = AllowanceBySource(EVENTS_A_SECOND, EVENTS_AT_ONCE)
+    limit = RateLimitBySource(EVENTS_A_SECOND, EVENTS_AT_ONCE)
     for n in range(1000):
         limit.admit(f"name {n}", 0)
     assert [limit.admit("new", S + n) for n in range(11)] == [0] * 10 + [None]
@@ -68,7 +68,7 @@ def test_names_of_a_second_ago_make_room() -> None:
     | st.lists(st.tuples(st.just("a"), st.integers(0, 120)), min_size=30)
 )
 def test_never_more_than_promised_and_every_one_published_or_counted(rejections: list[tuple[str | None, int]]) -> None:
-    limit = AllowanceBySource(EVENTS_A_SECOND, EVENTS_AT_ONCE)
+    limit = RateLimitBySource(EVENTS_A_SECOND, EVENTS_AT_ONCE)
     now_ns = 0
     published_ns: defaultdict[str | None, list[int]] = defaultdict(list)
     accounted = 0

@@ -14,8 +14,8 @@ from pydantic import ValidationError
 
 from gateway.errors import GatewayError, UnansweredError
 from gateway.people.client.blocking import Client
-from gateway.people.client.silence import CHECK_EVERY_S, Silence
 from gateway.people.client.subscriptions import KEPT_EVENTS, reads, reports
+from gateway.people.watching.silence import CHECK_EVERY_S, Silence
 from schemas import keys
 from schemas.telemetry import Ack, BodyReport, Event, GatewayState, Telemetry
 

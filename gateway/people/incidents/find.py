@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from typing import Final
 
 from gateway.model import black_box as form
-from gateway.people.recorder import ring_reader as rec
+from gateway.people.incidents import ring_reader as rec
 from schemas import keys
 from schemas.telemetry import Cause, Kind
 

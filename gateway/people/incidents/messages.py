@@ -13,8 +13,8 @@ from gateway.model.black_box import ACCEPTED
 from gateway.model.elkapod import Measured
 from gateway.model.frames import Op
 from gateway.model.telemetry import report_of
-from gateway.people.recorder import ring_reader as rec
-from gateway.people.recorder.incidents import Incident
+from gateway.people.incidents import ring_reader as rec
+from gateway.people.incidents.find import Incident
 from schemas import keys
 from schemas.calibration import Calibration
 from schemas.telemetry import Event, FrameRecord, Report

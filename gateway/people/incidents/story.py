@@ -8,10 +8,10 @@ from typing import Any, Final, NamedTuple
 
 from gateway.model.black_box import INCIDENT_NAMES, MISTAKE
 from gateway.model.frames import Frame, Op
-from gateway.people.recorder.incidents import kind_of
-from gateway.people.recorder.messages import INCIDENT, RECORDER, RecordedMessage
+from gateway.people.incidents.find import kind_of
+from gateway.people.incidents.messages import INCIDENT, RECORDER, RecordedMessage
 from gateway.people.ros2.commanded import UserAngles
-from gateway.text import legs_named, visible
+from gateway.words.text import legs_named, visible
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Telemetry

@@ -7,7 +7,7 @@ NS_PER_S: Final = 1_000_000_000
 NS_PER_MS: Final = 1_000_000
 
 
-class Allowance:
+class RateLimit:
     """A token bucket, full at first. `now_ns` is monotonic; constant memory and time."""
 
     __slots__ = ("_all_ns", "_each_ns", "_full_ns", "left_out")
@@ -18,7 +18,7 @@ class Allowance:
         self._all_ns = at_once * self._each_ns
         self._full_ns = 0
         self.left_out = 0
-        """For `AllowanceBySource`: how many were rejected since the last success."""
+        """For `RateLimitBySource`: how many were rejected since the last success."""
 
     def take(self, now_ns: int, count: int = 1) -> bool:
         """Take `count` tokens. Return False, and take none, if fewer are left."""
@@ -41,12 +41,12 @@ MOST_SOURCES: Final = 64
 """Most sources with an allowance of their own at a time: the limit of sessions."""
 
 
-class AllowanceBySource:
+class RateLimitBySource:
     """The same allowance for each source. Sources beyond MOST_SOURCES share one, since anybody may claim any name."""
 
     def __init__(self, a_second: float, at_once: int) -> None:
         self._each = a_second, at_once
-        self._known: dict[str | None, Allowance] = {}
+        self._known: dict[str | None, RateLimit] = {}
 
     def admit(self, source: str | None, now_ns: int, count: int = 1) -> int | None:
         """Take `count` tokens of this source. Return how many were rejected since the last success; None: rejected."""
@@ -55,7 +55,7 @@ class AllowanceBySource:
             if len(self._known) >= MOST_SOURCES:
                 source = None
         if source not in self._known:
-            self._known[source] = Allowance(*self._each)
+            self._known[source] = RateLimit(*self._each)
         known = self._known[source]
         if not known.take(now_ns, count):
             known.left_out += count

@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Final, Generic, TypeVar
 
-from gateway.people.client.dangers import Remark, StopStatus
+from gateway.people.watching.dangers import Remark, StopStatus
 from schemas.telemetry import Ack
 
 P = TypeVar("P")

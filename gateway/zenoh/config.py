@@ -12,10 +12,11 @@ from typing import Any, Final, NamedTuple
 
 import zenoh
 
-from gateway import certs, nesting
-from gateway.endpoints import with_interface
+from gateway import certs
 from gateway.errors import ConfigError, ZenohError
-from gateway.own_command import DEFAULT_ENDPOINT
+from gateway.files import nesting
+from gateway.words.own_command import DEFAULT_ENDPOINT
+from gateway.zenoh.endpoints import with_interface
 
 TLS: Final = "transport/link/tls"
 CA: Final = f"{TLS}/root_ca_certificate"

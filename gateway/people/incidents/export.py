@@ -14,10 +14,10 @@ from mcap.writer import Writer
 from gateway import __version__
 from gateway.errors import ConfigError
 from gateway.geometry import load
+from gateway.people.incidents.find import Incident
+from gateway.people.incidents.messages import messages
+from gateway.people.incidents.ring_reader import Records
 from gateway.people.recorder.drawing import INSTALLED, Drawing, definition, encode
-from gateway.people.recorder.incidents import Incident
-from gateway.people.recorder.messages import messages
-from gateway.people.recorder.ring_reader import Records
 from gateway.people.ros2.messages import Message
 
 

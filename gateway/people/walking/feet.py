@@ -6,7 +6,7 @@ from typing import Final, NamedTuple, Self
 from gateway.geometry.kinematics import Vector
 from gateway.people.walking import balance
 from gateway.people.walking.motion import ORIGIN, STILL, Odometry, Velocity
-from gateway.people.walking.ways import ALMOST, Figure
+from gateway.people.walking.transitions import ALMOST, Figure
 
 _PRESSED_M: Final = 0.004
 """A foot that carries is commanded at least this far below the ground: servos give way."""

@@ -16,7 +16,7 @@ import zenoh
 
 from gateway import certs
 from gateway.errors import ConfigError, DisconnectedError, RejectedError
-from gateway.zenoh_config import get
+from gateway.zenoh.config import get
 from schemas.keys import BUTTON, LEASE
 from schemas.telemetry import Ack, Answer, Reason
 

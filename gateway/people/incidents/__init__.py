@@ -1,0 +1,1 @@
+"""What the black box kept of each incident: read, found, explained, exported."""

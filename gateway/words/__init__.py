@@ -1,0 +1,1 @@
+"""Words in messages: foreign text on one line, and commands with the endpoint that they need."""

@@ -1,0 +1,1 @@
+"""Zenoh's files, sessions, endpoints, and how much a client may take."""
