@@ -11,19 +11,14 @@ or ignores them (`tests/unit/robot/test_bus.py` tries each).
 """
 
 from collections.abc import Iterable, Sequence
-from functools import lru_cache
 from typing import Final
 
-from gateway.model.frames import ONE_LEG_LEN, ZERO
+from gateway.model.frames import ONE_LEG_LEN
 
 NOTHING: Final = frozenset({0})
 """The controller is synchronised: it awaits a length."""
 ANYTHING: Final = frozenset(range(ONE_LEG_LEN + 1))
 """An earlier program may have left the controller after an announcement and any part of a preamble's zeros."""
-
-_MOST_TRANSFERS: Final = 6  # mutants accepted (Step): seven are as many as six
-"""The longest resynchronisation that is searched: three Stops. Of more, one would fail and add possibilities, as a
-zero that fails does not."""
 
 Awaited = frozenset[int]
 
@@ -51,26 +46,3 @@ def after_stall(awaited: Awaited, transfers: Sequence[bytes]) -> Awaited:
     """
     possible = after_failure(awaited, transfers)
     return possible.union(*(after_failure(NOTHING, transfers[place:]) for place in range(len(transfers))))
-
-
-# mutants accepted (Forget, LeaveOut, RemoveDecorator, Scale, Step): two ways of one length; only time is lost
-@lru_cache(maxsize=4096)
-def next_on_the_way_back(awaited: Awaited, stops: tuple[bytes, ...]) -> bytes:
-    """Return which of these Stops or a zero to write next, to resynchronise the controller with the fewest transfers.
-
-    If it awaits NOTHING, return the first Stop.
-    """
-    if awaited == NOTHING:
-        return stops[0]
-    before: dict[Awaited, bytes] = {}
-    now = {awaited: b""}
-    """What the controller may await after these transfers, each with the first Stop or zero of the way there."""
-    for _ in range(_MOST_TRANSFERS):
-        ways = [(after(each, stop[:1] + stop), first or stop) for each, first in before.items() for stop in stops]
-        ways += [(after(each, ZERO), first or ZERO) for each, first in now.items()]
-        before, now = now, {}
-        for reached, first in ways:
-            now.setdefault(reached, first)
-        if NOTHING in now:
-            return now[NOTHING]
-    return ZERO

@@ -27,9 +27,8 @@ from gateway.errors import BatchRejectedError, SpiError
 from gateway.host.settings_table import SpiSettings
 from gateway.model.frames import ONE_LEG_LEN, PREAMBLE_ZEROS, ZERO, Frame, Framing
 from gateway.robot.spi import Batch, BatchReport, Sent, SpiDevice, Transfer, Wire
-from gateway.robot.spi.awaited import ANYTHING, NOTHING, after, after_failure, after_stall, next_on_the_way_back
+from gateway.robot.spi.awaited import ANYTHING, NOTHING, after, after_failure, after_stall
 from gateway.robot.spi.guard import check
-from schemas.robot import LEGS
 
 LONGEST_NS: Final = 1_000_000
 """The longest call for frames that move, from its first bit to its last: a Stop may wait for its end."""
@@ -50,17 +49,11 @@ EARLY_SHARE: Final = 8
 PAUSE_NS: Final = 100_000_000
 """After this long without a call, the device's settings are checked before frames other than repeats: one system call.
 During a stream, the gateway's check ten times a second suffices."""
-TRIES: Final = 5
-"""After this many failed calls of zeros in a row, which may take a second, all Stops are tried without zeros: the
-controller may be synchronised. Not sooner: a Stop in the middle of a body leaves the controller awaiting up to 63 bytes
-(100 trials each; with one in five transfers failing after 200 ms, 3 never stopped)."""
 GIVEN_UP: Final = 18
 """After this many failed calls in a row the device is reopened. Each of six Stops has been tried by then."""
 INSIST_NS: Final = 300_000_000
 """The most time for trying failed Stops one by one; nothing else is more urgent. With a first and a last call that take
 200 ms to fail, the loop is blocked for 0.7 s; systemd waits for 1 s (WatchdogSec=)."""
-SEARCHED_STOPS: Final = len(LEGS)
-"""Stops among which a resynchronising one is searched; a search among eighteen takes 0.1 s."""
 SLOW_NS: Final = 20_000_000
 """A call that takes this long to fail is a transfer for which Linux waited. Other calls fail within a millisecond."""
 RESYNC_NS: Final = 1_000_000_000
@@ -116,7 +109,6 @@ class Bus(Wire):
         self._synchronised_ns = 0  # when the last preamble ended  # mutants accepted (Step): long ago
         self._zeros = 0  # in a row, since the last other transfer  # mutants accepted (Forget, Step): opening sets it
         self._failures = 0  # of calls, in a row  # mutants accepted (Step): counting begins anew for Stops
-        self._zeros_failed = 0  # calls of zeros, in a row
 
     def open(self) -> None:
         """Close the device if it is open, and open it. Raises SpiError if that fails."""
@@ -256,23 +248,21 @@ class Bus(Wire):
         zeros_before = self._zeros + zeros
         if frames:
             self._zeros = 0  # failed zeros are not counted; if they arrived, more do no harm
-        took_ns = self._transfer(batch, report, zeros_only=not frames)
+        took_ns = self._transfer(batch, report)
         received = True
         if self._awaited != NOTHING:
             received = max(self._awaited) <= zeros
             self._awaited = after(self._awaited, b"".join(each for each, _ in batch))
         self._failures = 0
-        if zeros:
-            self._zeros_failed = 0
-            if zeros_before >= PREAMBLE_ZEROS:
-                self._synchronised_ns, self._suspect = self._ended_ns, False
-            if not frames:
-                self._zeros = zeros_before
+        if zeros and zeros_before >= PREAMBLE_ZEROS:
+            self._synchronised_ns, self._suspect = self._ended_ns, False
+        if not frames:
+            self._zeros = zeros_before
         for place, _ in enumerate(frames, first):
             report.sent.append(Sent(place, self._ended_ns, took_ns, received))
         self.frames += len(frames)
 
-    def _transfer(self, batch: Batch, report: BatchReport, *, zeros_only: bool) -> int:
+    def _transfer(self, batch: Batch, report: BatchReport) -> int:
         """Write a checked batch. Return how long that took (ns). Raises SpiError."""
         write = self._device.transfer if self._lists and self._device is not None else self._write_singly
         begun_ns = self._clock()
@@ -285,14 +275,14 @@ class Bus(Wire):
                 self._write_singly(batch)
                 self._lists, report.rejection = False, str(rejection)
         except SpiError:
-            self._failed(batch, self._clock() - begun_ns, zeros_only=zeros_only)
+            self._failed(batch, self._clock() - begun_ns)
             raise
         finally:
             self._ended_ns = self._clock()
             took_ns = self._ended_ns - begun_ns
             self.transfer_latency.record(took_ns)
         if took_ns >= STALLED_NS:
-            self._failed(batch, took_ns, zeros_only=False)
+            self._failed(batch, took_ns)
             raise SpiError(f"the SPI device took {took_ns / 1e9:.1f} s for a call of milliseconds")
         return took_ns
 
@@ -313,11 +303,10 @@ class Bus(Wire):
 
     # ---- Stops that failed
 
-    def _failed(self, batch: Batch, took_ns: int, *, zeros_only: bool) -> None:
+    def _failed(self, batch: Batch, took_ns: int) -> None:
         """Record a failed call, of which any part may have been written."""
         self._failures += 1
         self._slow = self._slow or took_ns >= SLOW_NS
-        self._zeros_failed += zeros_only
         if self.announces:
             lost = after_stall if took_ns >= STALLED_NS else after_failure
             self._awaited = lost(self._awaited, [data for data, _ in batch])
@@ -332,41 +321,20 @@ class Bus(Wire):
         # legs without a Stop from an earlier call.
         left = [place for place in reversed(range(len(frames))) if place not in written]
         left.sort(key=lambda place: frames[place].data in self._received)
-        self._failures, give_up_ns = 0, self._clock() + INSIST_NS
+        self._failures, give_up_ns, untried = 0, self._clock() + INSIST_NS, [*left]
         while left and self._failures < GIVEN_UP and self._clock() < give_up_ns:
-            place = self._next(frames, left)
             try:
-                if place is None:
-                    self._call_zero(report, frames)
+                if not untried and self._awaited != NOTHING:
+                    self._call(report, 1)  # a longer call fails more often
                     continue
-                if place in left:  # a Stop that fails or may be lost is tried again after the others
-                    left = [*(each for each in left if each != place), place]
+                untried = untried or [*left]
+                place = untried.pop(0)
                 # mutants accepted (Step): fewer zeros than none are none
                 self._call(report, 0, (frames[place],), place)
                 if report.sent[-1].received:
-                    left = [each for each in left if each != place]
+                    left.remove(place)
                     self._received.add(frames[place].data)
             except SpiError as fault:
-                report.fault = report.fault or fault
+                report.fault, untried = report.fault or fault, untried or [*left]
         if left:
             report.fault = report.fault or SpiError("the SPI device did not accept all Stops in time")
-
-    def _next(self, frames: Sequence[Frame], left: Sequence[int]) -> int | None:
-        """Return the place of the Stop to write next, or None for a zero: no few Stops resynchronise the controller."""
-        if not self.announces:
-            return left[0]
-        candidates = [*left, *(place for place in range(len(frames)) if place not in left)][:SEARCHED_STOPS]
-        stops = tuple(dict.fromkeys(frames[place].data for place in candidates))
-        found = next_on_the_way_back(self._awaited, stops)
-        return None if found == ZERO else next(place for place in candidates if frames[place].data == found)
-
-    # mutants accepted (Step): fewer zeros than none are none
-    def _call_zero(self, report: BatchReport, frames: Sequence[Frame]) -> None:
-        """Write a zero. If none has passed for too long, write these Stops without zeros. Raises SpiError."""
-        # If no transfer to the controller is known to be lost, it is most likely synchronised.
-        untouched = self._slow and self._awaited == ANYTHING
-        if self._zeros_failed < TRIES and not untouched:
-            self._call(report, 1)  # a longer call fails more often
-        else:
-            self._zeros_failed = 0
-            self._call(report, 0, frames[: self._stops_at_once])

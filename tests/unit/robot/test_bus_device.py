@@ -129,9 +129,9 @@ def test_without_lists_a_stall_within_a_frame_is_a_fault_and_stops_are_tried_ane
     report = bench.bus.write(STOPS[:1])
     assert "was suspended" in str(report.fault)
     assert [sent.received for sent in report.sent] == [False, True]
-    gave_up = [ZERO] * (stall_ms > 1000)
-    stops = on_wire(PREFIXED, STOPS[0], STOPS[0])
-    assert bench.written == [b"\x0e", *gave_up, *stops], "the first of them may complete the body that is missing"
+    stop = on_wire(PREFIXED, STOPS[0])
+    between = [ZERO] * (stall_ms > 1000)
+    assert bench.written == [b"\x0e", *stop, *between, *stop], "the first of them may complete the body that is missing"
 
 
 # ---- opened, guarded, counted
