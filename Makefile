@@ -105,7 +105,7 @@ deb: $(VENV)/dev
 dist: $(VENV)/dev
 	$(BIN)/python -m release $(if $(KEY),--key $(KEY))
 
-# three.js for the console's page: what its modules use, minified. Needs npm; tests/unit/test_console_page.py has its checksum.
+# three.js for the console's page: what its modules use, minified. Needs npm; tests/unit/people/test_console_site.py has its checksum.
 THREE := gateway/people/console/page/vendor/three/three.js
 three:
 	@made=$$(mktemp -d) && grep -oh 'three\.[A-Z][A-Za-z0-9]*' $(dir $(THREE))../../*.js | sed 's/three\.//' | sort -u | paste -sd, \

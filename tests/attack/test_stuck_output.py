@@ -12,9 +12,9 @@ import pytest
 from gateway.client import Client
 from schemas import keys
 from schemas.telemetry import Cause
-from tests.support.closing import Closing
 from tests.support.gateway_process import Gateway
 from tests.support.heard import frames
+from tests.support.waiting import Closing
 
 ANSWER_S = 20.0
 """For an answer, or a Stop, that takes some milliseconds: without the fix, neither came at all."""

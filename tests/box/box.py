@@ -17,7 +17,7 @@ from pathlib import Path
 
 from tests.hil.bed import missing_packages
 from tests.support.child import Child
-from tests.support.closing import Closing
+from tests.support.waiting import Closing
 
 PROGRAM = Path(__file__).with_name("systemd-box")
 SHARED_INSIDE = Path("/box-out")

@@ -9,7 +9,7 @@ from schemas.robot import LEGS
 from tests.box.box import SHARED_INSIDE, Box, Unit
 from tests.hil.bed import SpiTestbed, Transfer
 from tests.support.child import Child
-from tests.support.closing import Closing
+from tests.support.waiting import Closing
 
 REPOSITORY = Path(__file__).parents[2]
 NAME = "hexapod-gateway"

@@ -19,9 +19,9 @@ from tests.box.package import Packages
 from tests.box.test_readme import debian
 from tests.hil.bed import SpiTestbed, missing_packages
 from tests.support.child import Child
-from tests.support.closing import Closing
 from tests.support.lacks import skip_where
 from tests.support.pages import SUDO, blocks, programs
+from tests.support.waiting import Closing
 
 pytestmark = pytest.mark.nightly
 

@@ -10,9 +10,9 @@ from typing import Any, ClassVar, Final
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, BrowserContext, CDPSession, ConsoleMessage, Locator, Page, expect
 
-from tests.support.closing import Closing
 from tests.support.console_process import SignedIn
 from tests.support.gateway_process import Gateway
+from tests.support.waiting import Closing
 
 CHROMIUM: Final = Path("/usr/bin/chromium")
 ARGUMENTS: Final = ("--no-sandbox", "--disable-gpu")

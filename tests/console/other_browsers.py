@@ -17,8 +17,8 @@ from typing import Any, Final, cast
 import httpx
 
 from tests.support.child import Child
-from tests.support.closing import Closing
 from tests.support.gateway_process import free_port
+from tests.support.waiting import Closing
 
 NEEDS: Final = {
     "webkit2gtk-driver": "WebKitWebDriver",

@@ -28,7 +28,7 @@ from typing import Any, Literal
 
 from tests.benchmarks.processes import never_delay
 from tests.support.child import Child
-from tests.support.closing import Closing
+from tests.support.waiting import Closing
 
 DEVICE = "/dev/spidev0.0"
 SYSTEM_PYTHON = "/usr/bin/python3"  # the one Debian's gi belongs to

@@ -14,16 +14,16 @@ _people: Final = partial(_tests, "unit/people")
 _BACKLOG: Final = _robot("backlog")[0]
 _SETTINGS: Final = _tests("unit", "setting_effects")
 _CONDUCTOR: Final = (
-    *_robot("conductor conductor_safety rejected_stops lease_conductor"),
+    *_robot("conductor conductor_safety rejected_stops lease"),
     *_model("staleness"),
-    *_robot("calibration_conductor outcome stop ownership"),
+    *_robot("calibration_conductor last_cut ownership"),
     *_SETTINGS,
     *_people("recorder"),
 )
 _INBOX: Final = (*_tests("zenoh", "inbox_parts"), *_robot("ownership"))
 _SUPERVISOR: Final = (
-    *_robot("supervisor_at_rest supervisor supervisor_stops supervisor_faults supervisor_speed supervisor_takeover"),
-    *_robot("supervisor_landing supervisor_calibration supervisor_whole body_limits power_rule"),
+    *_robot("supervisor_stops supervisor supervisor_speed supervisor_takeover"),
+    *_robot("supervisor_landing supervisor_calibration body_limits power_rule"),
     *_robot("lease buttons"),
     f"{_BACKLOG}::test_a_dead_programs_backlog_starts_nothing",
     f"{_BACKLOG}::test_a_scene",
@@ -34,10 +34,10 @@ _CALIBRATION: Final = (
     *_robot("supervisor_calibration supervisor_landing calibration_conductor"),
 )
 _CALIBRATION_REQUESTS: Final = (*_robot("calibration_conductor"), *_tests("zenoh", "calibration"))
-_CHECKER: Final = (*_people("lease_checker"), *_robot("lease_conductor"))
-_BUS: Final = (*_robot("bus bus_device conductor conductor_safety"), *_SETTINGS, *_robot("slow_failures"))
-_POWER: Final = _robot("power_scenes power_board power_conductor")
-_WALKING: Final = _people("walking_gait walking_balance ride times")
+_CHECKER: Final = (*_people("lease_checker"), *_robot("lease"))
+_BUS: Final = (*_robot("bus conductor conductor_safety"), *_SETTINGS, *_robot("slow_failures"))
+_POWER: Final = _robot("power_board power_conductor")
+_WALKING: Final = _people("walking_gait walking_balance ride client_times")
 _CYCLIC: Final = _robot("elkapod_wire elkapod_conductor power_conductor")
 
 JUDGES: Final = {
@@ -45,10 +45,10 @@ JUDGES: Final = {
     "gateway/model/elkapod.py": (*_model("elkapod_bytes"), *_robot("elkapod_wire")),
     "gateway/robot/protocol/elkapod.py": _CYCLIC,
     "gateway/robot/spi/cyclic.py": _CYCLIC,
-    "gateway/robot/spi/guard.py": _robot("guard bus_device"),
+    "gateway/robot/spi/guard.py": _robot("guard bus"),
     "gateway/robot/spi/awaited.py": _BUS,
     "gateway/robot/spi/bus.py": _BUS,
-    "gateway/robot/spi/stop_all.py": _robot("stop"),
+    "gateway/robot/spi/stop_all.py": _robot("last_cut"),
     "gateway/zenoh/endpoints.py": _robot("exposure"),
     "gateway/robot/zenoh_io/exposure.py": _robot("exposure"),
     "gateway/certs/access.py": (*_tests("unit", "access"), *_people("certs")),
@@ -56,18 +56,18 @@ JUDGES: Final = {
     "gateway/robot/zenoh_io/inbox.py": _INBOX,
     "gateway/robot/zenoh_io/rings.py": (*_tests("zenoh", "rings"), *_INBOX),
     "gateway/robot/zenoh_io/receiver.py": (*_robot("ownership"), *_tests("zenoh", "inbox_parts")),
-    "gateway/robot/runtime/request_answers.py": (*_CHECKER, *_robot("lease_conductor"), *_CALIBRATION_REQUESTS),
+    "gateway/robot/runtime/request_answers.py": (*_CHECKER, *_CALIBRATION_REQUESTS),
     "gateway/robot/host/ownership.py": (*_robot("ownership"), *_tests("zenoh", "inbox_parts")),
     "gateway/robot/core/message.py": _robot("conductor_safety"),
     "gateway/robot/core/intake.py": _robot("intake conductor conductor_safety"),
     "gateway/model/staleness.py": _model("staleness"),
-    "gateway/robot/core/servo.py": (*_robot("servo supervisor_takeover supervisor_landing"), *_SUPERVISOR),
+    "gateway/robot/core/servo.py": (*_robot("pacing supervisor_takeover supervisor_landing"), *_SUPERVISOR),
     "gateway/robot/core/pace.py": _robot("pacing supervisor_speed supervisor_takeover supervisor_landing"),
     "gateway/robot/core/gates/rate.py": _robot("pacing supervisor"),
     "gateway/robot/core/gates/stagger.py": _robot("supervisor_stops backlog supervisor"),
     "gateway/robot/core/gates/supply.py": _robot("power_rule power_conductor"),
-    "gateway/robot/core/gates/whole.py": _robot("supervisor_whole elkapod_conductor"),
-    "gateway/robot/core/gates/every.py": (*_robot("power_rule supervisor_whole"), *_SUPERVISOR),
+    "gateway/robot/core/gates/whole.py": _robot("supervisor elkapod_conductor"),
+    "gateway/robot/core/gates/every.py": (*_robot("power_rule"), *_SUPERVISOR),
     "gateway/robot/core/leg.py": (*_SUPERVISOR, *_SETTINGS, *_robot("supervisor_takeover")),
     "gateway/robot/core/legs.py": _SUPERVISOR,
     "gateway/robot/core/supervisor.py": _SUPERVISOR,
@@ -75,21 +75,21 @@ JUDGES: Final = {
     "gateway/robot/core/watchdog.py": (*_SUPERVISOR, *_robot("supervisor_landing")),
     "gateway/robot/core/outside.py": _SUPERVISOR,
     "gateway/robot/core/power_rule.py": _robot("power_rule power_conductor"),
-    "gateway/robot/core/lease.py": _robot("lease lease_conductor"),
-    "gateway/robot/core/buttons.py": _robot("buttons lease_conductor"),
-    "gateway/robot/core/stops.py": (*_robot("supervisor_at_rest supervisor_stops"), *_SUPERVISOR),
+    "gateway/robot/core/lease.py": _robot("lease"),
+    "gateway/robot/core/buttons.py": _robot("buttons lease"),
+    "gateway/robot/core/stops.py": _SUPERVISOR,
     "gateway/robot/core/backlog.py": _robot("backlog supervisor_stops supervisor"),
-    "gateway/robot/core/latch.py": _robot("supervisor_stops supervisor_faults power_rule estop_file"),
+    "gateway/robot/core/latch.py": _robot("supervisor_stops supervisor power_rule estop_file"),
     "gateway/model/power_board.py": (*_model("power_board_bytes"), *_robot("simulated_board")),
     "gateway/robot/power/board.py": _POWER,
-    "gateway/robot/power/questions.py": (*_robot("power_parts"), *_POWER),
+    "gateway/robot/power/questions.py": _POWER,
     "gateway/robot/power/last_cut.py": _robot("last_cut"),
-    "gateway/robot/runtime/supply.py": _robot("power_parts power_conductor conductor supply"),
+    "gateway/robot/runtime/supply.py": _robot("power_board power_conductor conductor power_line"),
     "gateway/robot/core/body_limits.py": _robot("body_limits"),
     "gateway/model/angle_limits.py": (*_CALIBRATION, *_robot("supervisor_speed")),
     "gateway/robot/core/calibrating.py": _CALIBRATION,
     "gateway/model/calibration.py": (*_CALIBRATION, *_robot("calibration_conductor")),
-    "gateway/robot/core/rejections.py": _robot("intake conductor conductor_safety lease_conductor"),
+    "gateway/robot/core/rejections.py": _robot("intake conductor conductor_safety lease"),
     "gateway/robot/core/losses.py": _robot("rejected_stops conductor_safety"),
     "gateway/robot/runtime/calibrations.py": _CALIBRATION_REQUESTS,
     "gateway/robot/runtime/executor.py": (*_CONDUCTOR, *_people("recorder"), *_robot("power_conductor conductor")),
@@ -101,14 +101,14 @@ JUDGES: Final = {
     "gateway/robot/blackbox/recorder.py": (*_CONDUCTOR, *_robot("incident_copies telemetry"), *_people("ring")),
     # rules of the people's wing, with the time as an argument
     "gateway/rate_limit.py": _tests("unit", "rate_limit"),
-    "gateway/people/watching/confirmed_stop.py": _people("confirmed_stop stop_status console_pages times"),
-    "gateway/people/client/pace.py": _people("client_times stream times"),
-    "gateway/people/client/patience.py": _people("client_times times"),
-    "gateway/people/client/renewal.py": _people("lease_renewal times"),
-    "gateway/people/watching/silence.py": _people("client_times times"),
-    "gateway/people/walking/gait_speed.py": _people("ride_script times"),
-    "gateway/people/walking/words.py": _people("words times"),
-    "gateway/people/walking/ride.py": _people("ride ride_script times"),
+    "gateway/people/watching/confirmed_stop.py": _people("confirmed_stop stop_status console_pages client_times"),
+    "gateway/people/client/pace.py": _people("client_times stream"),
+    "gateway/people/client/patience.py": _people("client_times"),
+    "gateway/people/client/renewal.py": _people("lease_renewal client_times"),
+    "gateway/people/watching/silence.py": _people("client_times"),
+    "gateway/people/walking/gait_speed.py": _people("walk_command client_times"),
+    "gateway/people/walking/words.py": _people("walk_command client_times"),
+    "gateway/people/walking/ride.py": _people("ride walk_command client_times"),
     **{
         f"gateway/people/walking/{room}.py": _WALKING
         for room in ["balance", "engine", "gaits", "inverse", "motion", "planning", "robot", "swing", "ways"]

@@ -19,11 +19,9 @@ from schemas.keys import ALIVE, EVENT, FRAME, STATE, leg_command
 from schemas.telemetry import Ack, Cause, Event, FrameRecord
 from tests.net.namespaces import Network
 from tests.support.child import Child
-from tests.support.closing import Closing
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events, frames, states
-from tests.support.meanwhile import meanwhile
-from tests.support.waiting import wait_until
+from tests.support.waiting import Closing, meanwhile, wait_until
 
 PORT: Final = 7447
 NICE: Final = -10

@@ -20,7 +20,7 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
-from tests.support.closing import Closing
+from tests.support.waiting import Closing
 
 MARK = "hexapod-net"
 BUFFER_BYTES = 16_384

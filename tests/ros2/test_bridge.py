@@ -18,7 +18,6 @@ from tests.support.bridged import LONG_S, WALKING, clean, commanded, does, keeps
 from tests.support.child import Child
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events, frames, running, states
-from tests.support.meanwhile import meanwhile
 from tests.support.rclpy_peer import (
     COMMANDS,
     DIAGNOSTICS,
@@ -32,6 +31,7 @@ from tests.support.rclpy_peer import (
     needs_rclpy,
 )
 from tests.support.ros2_messages import Float64
+from tests.support.waiting import meanwhile
 
 pytestmark = needs_rclpy
 OTHER_DOMAIN = DOMAIN % 100 + 1

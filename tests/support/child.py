@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import IO
 
 from tests.support import zygote
-from tests.support.closing import Closing
 from tests.support.descendants import MARK
+from tests.support.waiting import Closing
 
 
 class Child(Closing):

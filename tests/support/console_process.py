@@ -20,8 +20,8 @@ from websockets.sync.client import ClientConnection, connect
 from gateway.people.console.server.auth import proof
 from gateway.people.console.server.sessions import Sessions
 from tests.support.child import Child
-from tests.support.closing import Closing
 from tests.support.gateway_process import COMMAND, free_port
+from tests.support.waiting import Closing
 
 LINK: Final = "The console is at "
 LATE_S: Final = 90.0

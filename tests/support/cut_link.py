@@ -11,7 +11,7 @@ from contextlib import suppress
 from queue import SimpleQueue
 from typing import Final
 
-from tests.support.closing import Closing
+from tests.support.waiting import Closing
 
 _CHUNK: Final = 65536
 

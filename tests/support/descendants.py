@@ -16,7 +16,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Final
 
-from tests.support.closing import Closing
+from tests.support.waiting import Closing
 
 MARK: Final = "TESTS_RUN"
 PATIENCE_S: Final = {signal.SIGTERM: 10.0, signal.SIGKILL: 5.0}

@@ -14,8 +14,8 @@ from typing import Any, Final
 from gateway.client import Client
 from tests.hil.bed import SpiTestbed
 from tests.support.child import Child
-from tests.support.closing import Closing
 from tests.support.command import Ended, run_here
+from tests.support.waiting import Closing
 
 READY = "hexapod-gateway is ready"
 COMMAND = (sys.executable, "-m", "gateway")

@@ -6,8 +6,8 @@ from typing import Final
 from gateway.client import Client
 from schemas import keys
 from schemas.telemetry import Battery, Imu, Telemetry
-from tests.support.meanwhile import meanwhile
 from tests.support.published import WALL
+from tests.support.waiting import meanwhile
 
 MEASURED: Final = Telemetry(
     time=WALL,

@@ -25,10 +25,9 @@ import pytest
 from gateway.people.ros2.messages import Message
 from tests.support.bridged import READY, clean, rejections
 from tests.support.child import Child
-from tests.support.closing import Closing
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.ros2_messages import plain
-from tests.support.waiting import wait_until
+from tests.support.waiting import Closing, wait_until
 
 PEER_READY: Final = "the peer is ready"
 TRIGGER: Final = "std_srvs/srv/Trigger"

@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 from gateway.model.power_board import SET_SUPPLY, SUPPLIED
 from schemas.telemetry import GatewayState
 from tests.support.child import Child
-from tests.support.closing import Closing
+from tests.support.waiting import Closing
 
 _MEANS: Final = {f"< t{SET_SUPPLY:03X}3": "mask", f"> t{SUPPLIED:03X}3": "answer", "= ": "fed"}
 """What of the record is kept: masks that arrive, the board's answers to them, and what it feeds."""

@@ -11,8 +11,8 @@ from gateway import certs
 from gateway.client import Client
 from gateway.zenoh.config import load_config
 from tests.hil.bed import SpiTestbed
-from tests.support.closing import Closing
 from tests.support.gateway_process import Gateway, free_port
+from tests.support.waiting import Closing
 
 HOST = "127.0.0.1"
 

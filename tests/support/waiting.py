@@ -1,7 +1,11 @@
-"""Waiting for what nothing reports."""
+"""Waiting for what nothing reports; what a thread repeats while a test goes on; what a `with` closes."""
 
+import threading
 import time
-from collections.abc import Callable
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Self
 
 
 def wait_until(holds: Callable[[], bool], what: str = "it holds", within_s: float = 30.0) -> None:
@@ -11,3 +15,35 @@ def wait_until(holds: Callable[[], bool], what: str = "it holds", within_s: floa
         if time.monotonic() > give_up_s:
             raise TimeoutError(f"not within {within_s:g} s: {what}")
         time.sleep(0.01)
+
+
+@contextmanager
+def meanwhile(act: Callable[[], object], every_s: float = 0.0) -> Iterator[None]:
+    """Call it every so many seconds, on a thread of its own, until the end of the `with`."""
+    ended = threading.Event()
+
+    def run() -> None:
+        while not ended.wait(every_s):
+            act()
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+
+
+class Closing(ABC):
+    """Closes itself at the end of a `with`, however that ends."""
+
+    @abstractmethod
+    def close(self) -> object:
+        """Release what it holds."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

@@ -21,8 +21,7 @@ from schemas.revocation import RevocationAck
 from schemas.robot import LEGS
 from schemas.state import StateReport
 from schemas.telemetry import Ack, Cause, ConfigReport, Event, FrameRecord, Kind, Reason
-from tests.support.bad_commands import FAULTS
-from tests.support.commands import LEG, as_json
+from tests.support.commands import FAULTS, LEG, as_json
 
 SCHEMAS = {name.removesuffix(".json"): json.loads(text) for name, text in documents().items()}
 VALIDATORS = {name: Draft202012Validator(schema) for name, schema in SCHEMAS.items()}

@@ -37,7 +37,7 @@ SHOWN_ELSEWHERE = {
     "spi.device": "hil/test_service.py",
     "spi.speed_hz": "hil/test_service.py",
     "controller.uart": "hil/test_elkapod.py",
-    "buttons.names": "test_lease_conductor.py",
+    "buttons.names": "test_lease.py",
     "state.path": "zenoh/test_calibration.py",
     "telemetry.metrics": "test_metrics.py",
     "power.interface": "hil/test_power.py",

@@ -13,8 +13,8 @@ from schemas.telemetry import Kind, Mode, Reason
 from tests.support.fixtures import client_fixture, gateway_fixture
 from tests.support.gateway_process import Gateway, free_port
 from tests.support.heard import events
-from tests.support.meanwhile import meanwhile
 from tests.support.secured import Secured
+from tests.support.waiting import meanwhile
 
 TIMEOUT_MS = 2000
 POSE = (90, 45, 120)

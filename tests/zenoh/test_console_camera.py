@@ -10,11 +10,10 @@ import pytest
 
 from gateway.client import Client
 from tests.support.camera_server import CameraServer
-from tests.support.closing import Closing
 from tests.support.console_process import NOBODY, Console, Page, SignedIn, opened
 from tests.support.fixtures import client_fixture, gateway_fixture, patient, session_fixture
 from tests.support.gateway_process import Gateway
-from tests.support.meanwhile import meanwhile
+from tests.support.waiting import Closing, meanwhile
 from tests.zenoh.test_console_walk import STEP_S, Pad, acquire, gets, is_free, posture, stands, walk, walks
 
 OLD: Final = "the picture is "

@@ -13,7 +13,7 @@ from tests.support.console_process import TRIES, Console, Page, SignedIn
 from tests.support.fixtures import client_fixture, console_fixture, gateway_fixture, patient, session_fixture
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events
-from tests.support.meanwhile import meanwhile
+from tests.support.waiting import meanwhile
 
 pytestmark = pytest.mark.usefixtures("robot")
 FORWARD: Final = {"forward_m_s": 0.06}

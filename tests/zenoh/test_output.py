@@ -37,7 +37,7 @@ PRINTS: Final = (
     "incidents export last {own}-incident.mcap --config {config}", "check --config {config}",
     "check --json --config {config}",
 )  # fmt: skip
-SERVES: Final = ("run", "console")  # they go on; tests/unit/host/test_log_writer.py
+SERVES: Final = ("run", "console")  # they go on; tests/unit/test_host.py
 PRINTS_NOTHING: Final = {"stop-servos --config /nowhere": 2, "setup --dry-run": 2, "ros2 --domain -1": 2}
 
 gateway = gateway_fixture()

@@ -32,9 +32,9 @@ from tests.support.fixtures import client_fixture, gateway_fixture
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.heard import Heard, events, frames, states
 from tests.support.mcap_file import about, checked, whole
-from tests.support.meanwhile import meanwhile
 from tests.support.measuring import MEASURED
 from tests.support.ros2_messages import decode
+from tests.support.waiting import meanwhile
 from tests.unit.people.test_recordings import drawn_in, positions, recorded
 
 PATIENCE_S = 30

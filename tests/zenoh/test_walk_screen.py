@@ -16,11 +16,10 @@ import pytest
 from gateway.client import Client
 from gateway.people.commands.walk import screen
 from schemas.telemetry import Mode
-from tests.support.closing import Closing
 from tests.support.fixtures import client_fixture, gateway_fixture, patient
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.heard import states
-from tests.support.waiting import wait_until
+from tests.support.waiting import Closing, wait_until
 
 pytestmark = [pytest.mark.full, pytest.mark.attended]
 

@@ -1,22 +1,45 @@
-"""The client's rules of time: how long a question waits, a stream's grid, a gateway's silence. In virtual time."""
+"""The client's rules of time in virtual time; what a gateway publishes, and why no connection comes about."""
 
+import asyncio
+import datetime as dt
 import doctest
+import socket
+import ssl
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+from queue import SimpleQueue
 from types import ModuleType
+from typing import Any, cast
 
 import pytest
+import zenoh
 
+from gateway import certs
+from gateway.certs import authority
+from gateway.client import Client
 from gateway.errors import UnreachedError
+from gateway.people.client import pace, patience, renewal
 from gateway.people.client import pace as pace_module
 from gateway.people.client import payloads as payloads_module
+from gateway.people.client.diagnosis import Stage, diagnose, validity
+from gateway.people.client.lease_requests import Identity
 from gateway.people.client.pace import MOST_DEG, RADIANS_S, Radians
 from gateway.people.client.patience import ATTEMPT_S, OTHER_WAY_S, Patience, Query, QuestionStep
+from gateway.people.client.subscriptions import KEPT_EVENTS
+from gateway.people.commands import why
 from gateway.people.commands.options import Reach
 from gateway.people.console.link import GatewayLink
 from gateway.people.console.pages.page_messages import Message, link_message
+from gateway.people.walking import ride, words
+from gateway.people.watching import confirmed_stop, silence
 from gateway.people.watching import silence as silence_module
-from gateway.people.watching.live import Receiver
+from gateway.people.watching.live import Live, OnLoop, Receiver
 from gateway.people.watching.silence import WHY_EVERY_S, Silence
-from tests.support.published import state
+from gateway.zenoh.config import client_config, connect_endpoints
+from schemas.telemetry import GatewayState, Kind, Telemetry
+from tests.support.published import WALL, event, state
 
 END_S = 10.0
 
@@ -195,3 +218,203 @@ async def test_a_gateway_that_has_ended_is_gone_at_once_and_no_older_state_bring
 @pytest.mark.parametrize(("module", "count"), [(pace_module, 16), (payloads_module, 4), (silence_module, 5)])
 def test_the_examples_are_right(module: ModuleType, count: int) -> None:
     assert doctest.testmod(module) == (0, count)
+
+
+TIMES: dict[tuple[ModuleType, str], float] = {
+    (confirmed_stop, "AGAIN_NS"): 100_000_000,
+    (confirmed_stop, "REQUESTS_AT_ONCE"): 4,
+    (confirmed_stop, "MAX_PRESSES"): 16,
+    (pace, "LATE_PART"): 0.5,
+    (pace, "RADIANS_S"): 1.0,
+    (pace, "MOST_DEG"): 3.2,
+    (pace, "SILENCE_S"): 0.5,
+    (patience, "RESEND_S"): 0.05,
+    (patience, "ATTEMPT_S"): 1.0,
+    (patience, "OTHER_WAY_S"): 0.2,
+    (renewal, "RENEWALS"): 3,
+    (ride, "START_PAUSE_S"): 0.015,
+    (silence, "CHECK_EVERY_S"): 0.1,
+    (silence, "SILENT_MS"): 1000,
+    (words, "NEWS_S"): 1.0,
+}
+
+
+@pytest.mark.parametrize(("module", "name"), TIMES, ids=lambda part: getattr(part, "__name__", part))
+def test_each_time_is_as_decided(module: ModuleType, name: str) -> None:
+    assert getattr(module, name) == TIMES[module, name]
+
+
+# ---- to an event loop
+
+
+class OnThisLoop(Receiver):
+    """Keeps what it is called with."""
+
+    def __init__(self) -> None:
+        self.calls: list[tuple[object, ...]] = []
+
+    def __getattribute__(self, name: str) -> Any:
+        found = super().__getattribute__(name)
+        return (lambda *arguments: self.calls.append((name, *arguments))) if callable(found) else found
+
+
+def test_a_busy_loop_gets_the_newest_state_and_a_bounded_number_of_events() -> None:
+    async def busy() -> list[tuple[object, ...]]:
+        receiver = OnThisLoop()
+        to_loop = OnLoop(asyncio.get_running_loop(), receiver)
+
+        def flood() -> None:
+            to_loop.opened()
+            for number in range(KEPT_EVENTS + 3):
+                to_loop.received_state(state(float(number)), number)
+                to_loop.received_event(event(Kind.STOPPING, str(number)))
+                to_loop.received_telemetry(Telemetry(time=WALL, age_ms=0.0, tilt_deg=number))
+            to_loop.received_token(False)
+            to_loop.diagnosed(["nobody is there"])
+
+        thread = threading.Thread(target=flood)
+        thread.start()
+        thread.join()  # the loop does nothing meanwhile
+        await asyncio.sleep(0)
+        to_loop.received_token(True)
+        await asyncio.sleep(0)
+        return receiver.calls
+
+    last = KEPT_EVENTS + 2
+    assert asyncio.run(busy()) == [
+        ("opened",),
+        ("received_state", state(float(last)), last),
+        *(("received_event", event(Kind.STOPPING, str(each)), 3 if each == 3 else 0) for each in range(3, last + 1)),
+        ("received_telemetry", Telemetry(time=WALL, age_ms=0.0, tilt_deg=last)),
+        ("received_token", False),
+        ("diagnosed", ["nobody is there"]),
+        ("received_token", True),
+    ]
+
+
+# ---- a connection that stays
+
+
+class BreaksAtOnce:
+    """A client whose link breaks before its session has a subscription."""
+
+    def __init__(self, closed: "SimpleQueue[BreaksAtOnce]") -> None:
+        self.session = self
+        self._closed = closed
+
+    def declare_subscriber(self, _key: str, _ring: object) -> None:
+        raise zenoh.ZError("the link is broken")
+
+    def state(self, _timeout_s: float) -> GatewayState:
+        raise zenoh.ZError("the link is broken")
+
+    def close(self) -> None:
+        self._closed.put(self)
+
+
+def test_a_session_without_subscriptions_is_closed_before_the_next_is_opened() -> None:
+    opened: SimpleQueue[BreaksAtOnce] = SimpleQueue()
+    closed: SimpleQueue[BreaksAtOnce] = SimpleQueue()
+
+    def connect() -> Client:
+        opened.put(client := BreaksAtOnce(closed))
+        return cast(Client, client)
+
+    live = Live(connect, OnThisLoop(), lambda _: [])
+    live.start()
+    for _ in range(2):
+        assert opened.get(timeout=10) is closed.get(timeout=10)
+    live.close()
+
+
+BEGIN = dt.datetime(2026, 1, 1, tzinfo=dt.UTC)
+END = dt.datetime(2028, 1, 1, tzinfo=dt.UTC)
+SECOND = dt.timedelta(seconds=1)
+DAY = dt.timedelta(days=1)
+
+
+@pytest.mark.parametrize(
+    ("now", "said", "fix"),
+    [
+        (BEGIN, "anna.pem is good until 2028-01-01", ""),
+        (END - SECOND, "anna.pem is good until 2028-01-01", ""),
+        (END, "anna.pem expired on 2028-01-01", "certs renew"),
+        (
+            BEGIN - SECOND,
+            "anna.pem is good from 2026-01-01 only, and this machine's clock states 2025-12-31",
+            "set the",
+        ),
+        (
+            dt.datetime(1970, 1, 1, tzinfo=dt.UTC),
+            "this machine's clock states 1970-01-01, which is before",
+            "set the clock",
+        ),
+    ],
+)
+def test_a_certificate_and_a_clock(now: dt.datetime, said: str, fix: str) -> None:
+    finding = validity("anna.pem", BEGIN, END, now)
+    assert finding.stage is Stage.CERTIFICATE
+    assert finding.sentence.startswith(said)
+    assert fix in finding.fix
+    assert bool(finding.fix) is bool(fix)
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "dialled"),
+    [
+        ("tcp/[fe80::1%wlan0]:7447", "tcp/[fe80::1]:7447#iface=wlan0"),
+        ("[fe80::1%eth0.7]:7447", "tcp/[fe80::1]:7447#iface=eth0.7"),
+        ("tcp/[::1]:7447", "tcp/[::1]:7447"),
+    ],
+)
+def test_the_interface_of_a_link_local_address_is_zenohs(endpoint: str, dialled: str) -> None:
+    assert connect_endpoints(client_config(endpoint)) == [dialled]
+
+
+@pytest.mark.parametrize("endpoint", ["tls/[2001:db8::7]:7447", "quic/robot:7447", "robot:7447", "tls/robot"])
+def test_what_is_not_dialled_is_reported_at_once(endpoint: str) -> None:
+    (finding,) = diagnose(endpoint, Identity(), time.monotonic() + 1)
+    assert finding.stage is Stage.ENDPOINT
+    assert finding.fix
+
+
+@pytest.mark.parametrize(
+    ("role", "sentence", "fix"),
+    [
+        ("gateway", "the robot's certificate has expired", "hexapod-gateway certs renew gateway"),
+        ("operator", "the robot's certificate is no robot's, such as a laptop's", "setup --certs FOLDER"),
+    ],
+)
+def test_a_robot_with_a_wrong_certificate(role: str, sentence: str, fix: str, tmp_path: Path) -> None:
+    """Expired, as after two years in a cupboard: the service would not start with it, but one that runs goes on."""
+    certs.folder.init(tmp_path, ["127.0.0.1"])
+    certs.folder.issue(tmp_path, "anna", "operator")
+    ca = certs.folder.load_ca(tmp_path)
+    now = dt.datetime.now(dt.UTC)
+    wrong = authority.make_leaf(ca, "gateway", "gateway", ["127.0.0.1"], 1, now - 2 * DAY)
+    wrong = wrong if role == "gateway" else authority.make_leaf(ca, "operator-07", "bob", [], 9, now)
+    (tmp_path / "old.pem").write_bytes(wrong.certificate_pem())
+    (tmp_path / "old.key").write_bytes(wrong.key_pem())
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(tmp_path / "old.pem", tmp_path / "old.key")
+    with socket.create_server(("127.0.0.1", 0)) as robot:
+
+        def shake_hands() -> None:
+            with suppress(OSError), robot.accept()[0] as connection:
+                context.wrap_socket(connection, server_side=True)
+
+        threading.Thread(target=shake_hands, daemon=True).start()
+        identity = Identity(tmp_path / "anna.pem", tmp_path / "anna.key", tmp_path / "ca.pem")
+        *_, last = diagnose(f"tls/127.0.0.1:{robot.getsockname()[1]}", identity, time.monotonic() + 10)
+    assert last.sentence == sentence
+    assert fix in last.fix
+
+
+def test_a_certificate_that_has_run_out_meanwhile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of somebody who watches: the link ends with it, and this is why."""
+    certs.folder.init(tmp_path, ["127.0.0.1"])
+    monkeypatch.setattr(certs.folder, "now_utc", lambda: dt.datetime.now(dt.UTC) - 2 * DAY)
+    certs.folder.issue(tmp_path, "dora", "operator", days=1)
+    (line,) = why.unreached(None, tmp_path / "dora.json5")
+    assert "dora.pem expired on" in line
+    assert "hexapod-gateway certs renew NAME --dir DIR" in line

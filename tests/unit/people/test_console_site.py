@@ -1,18 +1,36 @@
-"""Which Host and Origin headers are the console's own, and where it may listen."""
+"""How browsers reach the console: hosts, origins, certificates, and a page without a line that its policy forbids."""
 
 import os
+import re
 import socket
 import ssl
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
+from hashlib import sha256
 from pathlib import Path
+from typing import Final
 
 import pytest
+from aiohttp import web
+from multidict import CIMultiDict
+from yarl import URL
 
 from gateway import certs
 from gateway.errors import ConfigError
 from gateway.host.directories import CONSOLE_STATE
-from gateway.people.console.server.site import RECEIVED_BYTES, Site, address_in, address_of, inherited, listening, site
+from gateway.people.commands.options import Reach
+from gateway.people.console.phone import explain, prepared
+from gateway.people.console.server.auth import read_files
+from gateway.people.console.server.site import (
+    RECEIVED_BYTES,
+    Options,
+    Site,
+    address_in,
+    address_of,
+    inherited,
+    listening,
+    site,
+)
 from tests.support.command import parse
 from tests.support.gateway_process import free_port
 
@@ -221,3 +239,95 @@ def test_another_address_in_the_options_is_rejected(stack: ExitStack, listen: st
 def test_more_addresses_than_localhosts_are_rejected(stack: ExitStack, number: int) -> None:
     with pytest.raises(ConfigError, match=f"has {number} addresses"):
         address_in([server(stack) for _ in range(number)], None)
+
+
+LISTEN = "192.0.2.7:8443"
+
+
+def prepare(folder: Path, listen: str = LISTEN) -> Options:
+    return prepared(Options(Reach(), listen, phone=True), folder)
+
+
+@pytest.fixture(autouse=True)
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+
+
+def test_a_certificate_for_the_address_is_made_once_and_its_key_stays_private(tmp_path: Path) -> None:
+    first = prepare(tmp_path)
+    assert first.cert is not None
+    made = first.cert.read_bytes()
+    assert first.cert.stat().st_mode & 0o777 == 0o600
+    assert site(LISTEN, first.cert, first.key).url == "https://192.0.2.7:8443"
+    ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(first.cert, first.key)
+    assert prepare(tmp_path) == first
+    assert first.cert.read_bytes() == made, "a phone that has accepted it is not asked again"
+    assert prepare(tmp_path, "192.0.2.8:8443").cert == first.cert
+    assert first.cert.read_bytes() != made, "at another address"
+
+
+@pytest.mark.parametrize(("hosts", "uses"), [(["192.0.2.7", "robot.local"], True), (["robot.local"], False)])
+def test_the_fleets_certificate_is_used_where_it_fits(tmp_path: Path, hosts: Sequence[str], uses: bool) -> None:
+    fleet = tmp_path / "hexapod-certs"
+    certs.folder.init(fleet, ["robot.local"])
+    certs.folder.issue(fleet, "web", "console", hosts=hosts)
+    found = prepare(tmp_path)
+    assert (found.cert == fleet / "web.pem", found.key == fleet / "web.key") == (uses, uses)
+
+
+@pytest.mark.parametrize(("target", "status"), [("/", 200), ("/tap.js", 200), ("/../phone.pem", 404), ("/ws", 404)])
+async def test_the_page_without_tls_answers_with_its_own_files_only(target: str, status: int) -> None:
+    answer = await explain(URL(target), CIMultiDict({"Host": "192.0.2.7:8080"}))
+    assert isinstance(answer, web.Response)
+    assert answer.status == status
+    assert answer.keep_alive is False
+    assert "default-src 'none'" in answer.headers["content-security-policy"]
+
+
+PAGE: Final = Path(__file__).parents[3] / "gateway/people/console/page"
+HTML: Final = (PAGE / "index.html").read_text()
+BUTTON: Final = (PAGE / "button.html").read_text()
+"""The page that is a stop button."""
+MODULES: Final = sorted(PAGE.glob("*.js"))
+
+THREE_0_187_0: Final = "d12e651b7b45cc9a16d5bebd26301664597b376c2a1e3002cbf3a65f69fab5be"
+"""SHA-256 of what `make three` makes of npm's package three 0.187.0."""
+
+
+def test_every_file_that_the_page_names_is_there() -> None:
+    named = re.findall(r'(?:src|href)="([^"./][^"]+)"', HTML + BUTTON)
+    assert {"main.js", "button.js", "button.css"} <= {*named}
+    named.remove("button")  # a page of its own
+    for module in MODULES:
+        imports = re.findall(r'(?:from|import\() ?"(\.[^"]+)"', module.read_text())
+        named += [f"{module.parent.relative_to(PAGE)}/{path}" for path in imports]
+    for path in named:
+        assert (PAGE / path).is_file(), path
+
+
+def test_nothing_in_the_page_is_inline_or_from_elsewhere() -> None:
+    assert not re.search(r"<script(?![^>]* src=)|<style|\sstyle=|\son\w+=", HTML + BUTTON)
+    for text in (HTML, BUTTON, *(module.read_text() for module in MODULES)):
+        assert not [address for address in re.findall(r"\bhttps?://[^\s\"']+", text) if "www.w3.org" not in address]
+
+
+@pytest.mark.parametrize("module", MODULES, ids=lambda module: module.name)
+def test_every_element_that_a_module_wants_is_on_the_page(module: Path) -> None:
+    for name in re.findall(r'byId\("([^"]+)"', module.read_text()):
+        assert f'id="{name}"' in (BUTTON if module.name == "button.js" else HTML), name
+
+
+def test_three_is_as_it_was_made_with_its_licence_and_has_what_the_page_uses() -> None:
+    vendor = PAGE / "vendor" / "three"
+    assert "MIT License" in (vendor / "LICENSE").read_text()
+    made = (vendor / "three.js").read_bytes()
+    assert sha256(made).hexdigest() == THREE_0_187_0, "make three"
+    exported = set(re.findall(r" as (\w+)[,}]", made.decode().rpartition("export{")[2]))
+    used = {name for module in MODULES for name in re.findall(r"\bthree\.([A-Z]\w+)", module.read_text())}
+    assert exported == used, "make three"
+
+
+def test_a_phone_loads_at_most_300_kb() -> None:
+    """All files, the 3D part too, packed; headers come on top."""
+    answers = [file.response(CIMultiDict({"Accept-Encoding": "gzip"})) for file in read_files().values()]
+    assert sum(len(answer.body) for answer in answers if isinstance(answer.body, bytes)) in range(100_000, 300_000)

@@ -1,17 +1,24 @@
-"""elkapod-2025 from a command to the controller's servos, in virtual time."""
+"""elkapod-2025 from a command to the controller's servos, in virtual time; and its UART by pyserial."""
 
 import asyncio
+import os
+import tty
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
 
+from gateway.errors import SpiError
 from gateway.model import elkapod as wire
+from gateway.model.elkapod import SHUTDOWN
+from gateway.robot.spi.uart import SerialUart
 from schemas import keys
 from schemas.telemetry import Kind, Mode
 from tests.support.elkapod import ElkapodRobot, all_legs, angles_of, elkapod
 from tests.support.robot import leg
 
 pytestmark = pytest.mark.virtual_time
+
 
 START = all_legs("start", 80)
 
@@ -116,3 +123,44 @@ async def test_a_controller_that_restarts_is_shut_down_and_moves_only_after_a_ne
         assert robot.ask(keys.LEGS_COMMAND, START).accepted
         await asyncio.sleep(0.1)
         assert len(robot.elkapod.energised) == 18
+
+
+@pytest.fixture
+def ends() -> Iterator[tuple[int, str]]:
+    """The controller's end, and the path of the program's."""
+    ours, theirs = os.openpty()
+    tty.setraw(theirs)
+    yield ours, os.ttyname(theirs)
+    os.close(theirs)
+
+
+def test_what_has_come_is_read_without_waiting_and_nothing_is_no_fault(ends: tuple[int, str]) -> None:
+    ours, path = ends
+    uart = SerialUart(path)
+    uart.write(SHUTDOWN)
+    assert os.read(ours, 100) == SHUTDOWN
+    assert uart.read() == b""
+    assert uart.read() == b""
+    os.write(ours, b"beat")
+    found = b""
+    while found != b"beat":
+        found += uart.read()
+    assert uart.read() == b""
+    with pytest.raises(SpiError, match="cannot be opened"):
+        SerialUart(path)
+    uart.close()
+    SerialUart(path).close()
+    os.close(ours)
+
+
+def test_one_that_is_unplugged_says_so(ends: tuple[int, str]) -> None:
+    ours, path = ends
+    uart = SerialUart(path)
+    os.close(ours)
+    with pytest.raises(SpiError, match=path):
+        uart.read()
+    with pytest.raises(SpiError, match=path):
+        uart.write(SHUTDOWN)
+    uart.close()
+    with pytest.raises(SpiError, match=r"controller\.uart"):
+        SerialUart(f"{path}9")

@@ -24,8 +24,8 @@ from schemas.command import MAX_PAYLOAD_BYTES, MAX_SENT_MS, LegCommand, LegsComm
 from schemas.keys import COMMAND_KEYS, ESTOP, CommandKey, Target, leg_command, servo_command
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Reason
-from tests.support.bad_commands import FAULTS
 from tests.support.commands import (
+    FAULTS,
     LEG,
     LEG_3,
     LEGS_KEY,

@@ -1,21 +1,28 @@
-"""The values that a program may pass for legs, servos and angles, and the errors for others."""
+"""The client: the names that tools see, the values that a program may pass, and a stop button. No gateway is real."""
 
+import inspect
 import json
 import math
 import re
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from decimal import Decimal
 from fractions import Fraction
-from typing import Any
+from typing import Any, cast
+from unittest.mock import create_autospec
 
 import numpy as np
 import pytest
 
+from gateway.client import Client, RejectedError
 from gateway.errors import OutOfRangeError, WalkError
+from gateway.people.client.lease_requests import LIFE, REGISTRATION_TRIES, Button
+from gateway.people.client.lease_requests import Requests as ClientRequests
 from gateway.people.client.payloads import leg_number, leg_payload, legs_angles, legs_payload, number, servo_number
 from gateway.people.walking.gait_speed import Distance
 from gateway.people.walking.motion import Velocity
-from schemas.telemetry import Reason
+from schemas.button import ButtonAck
+from schemas.telemetry import Ack, Reason
 
 
 class Whole:
@@ -121,3 +128,82 @@ def test_a_bool_a_text_and_several_are_no_number(value: Any) -> None:
         Distance(value, turns=True)
     with pytest.raises(TypeError, match="an angle is a number"):
         number(value)
+
+
+def test_tools_that_list_the_clients_names_see_each_method() -> None:
+    methods = {name for name, _ in inspect.getmembers_static(Client) if not name.startswith("_")}
+    assert methods <= set(dir(Client))
+    assert {"lease", "button", "on_state"} <= set(dir(create_autospec(Client)))
+
+
+TIMEOUT_MS = 1000.0
+
+
+@dataclass
+class Requests:
+    """A gateway that answers after `takes_s`, and its clock."""
+
+    now_s: float = 1000.0
+    takes_s: float = 0.01
+    denied: Reason | None = None
+    asked: list[str] = field(default_factory=list)
+
+    def button_name(self, _name: str | None) -> str:
+        return "kitchen"
+
+    def register(self, _name: str | None) -> ButtonAck:
+        return self._answer("register", self.denied)
+
+    def check_in(self, token: str, count: int, *, timeout_s: float | None) -> ButtonAck:
+        assert timeout_s == TIMEOUT_MS / 1000
+        return self._answer(f"alive {token} {count}")
+
+    def _answer(self, what: str, reason: Reason | None = None) -> ButtonAck:
+        self.asked.append(what)
+        self.now_s += self.takes_s
+        token = f"token {self.asked.count('register')}"
+        return ButtonAck(accepted=reason is None, reason=reason, button=token, timeout_ms=TIMEOUT_MS)
+
+
+@pytest.fixture
+def requests(monkeypatch: pytest.MonkeyPatch) -> Requests:
+    made = Requests()
+    monkeypatch.setattr("gateway.people.client.lease_requests.time.monotonic", lambda: made.now_s)
+    return made
+
+
+def button(requests: Requests) -> Button:
+    return Button(cast(ClientRequests, requests), lambda _: Ack(accepted=True), None)
+
+
+def test_a_button_registers_anew_before_its_clock_may_have_fallen_behind_and_goes_on_if_that_is_denied(
+    requests: Requests,
+) -> None:
+    kitchen = button(requests)
+    kitchen.register()
+    requests.now_s += LIFE * TIMEOUT_MS / 1000 - 1
+    kitchen.alive()
+    requests.now_s += 1
+    kitchen.alive()
+    assert requests.asked == ["register", "alive token 1 1", "register", "alive token 2 1"]
+    requests.now_s += LIFE * TIMEOUT_MS / 1000
+    requests.denied = Reason.BUTTON_DENIED
+    kitchen.alive()
+    kitchen.alive()
+    assert requests.asked[4:] == ["register", "alive token 2 2", "alive token 2 3"]
+    requests.now_s += LIFE * TIMEOUT_MS / 10_000
+    kitchen.alive()
+    assert requests.asked[-2:] == ["register", "alive token 2 4"], "it tries again"
+
+
+def test_a_registration_that_was_held_back_does_not_count(requests: Requests) -> None:
+    """Each later check-in is compared with it: all of them would count for longer by that delay."""
+    kitchen = button(requests)
+    requests.takes_s = 0.51
+    with pytest.raises(RejectedError, match="stale") as error:
+        kitchen.register()
+    assert error.value.reason == Reason.STALE
+    assert requests.asked == ["register"] * REGISTRATION_TRIES
+    requests.takes_s = 0.5
+    kitchen.alive()
+    assert requests.asked[REGISTRATION_TRIES:] == ["register", f"alive token {REGISTRATION_TRIES + 1} 1"]

@@ -1,0 +1,413 @@
+"""Small parts of the host: latencies, files, systemd, mounts, logs, settings in effect; what a message costs."""
+
+import asyncio
+import json
+import logging
+import os
+import signal
+import socket
+import sys
+import threading
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext, suppress
+from pathlib import Path
+from types import CodeType, FrameType
+from typing import IO, Any
+
+import pytest
+
+from gateway.host import effective
+from gateway.host.logs import MAX_LINES_WAITING, LogStream, LogWriter
+from gateway.host.mounts import FORGETS, forgets, mount_of
+from gateway.host.settings_reader import ForStops
+from gateway.host.shared_page import Sensed, SensedPage, ServoPage
+from gateway.model.frames import Framing
+from gateway.robot.host.disk import DiskWriter
+from gateway.robot.host.ownership import Ownership
+from gateway.robot.host.systemd import PINGS_PER_TIMEOUT, SystemdNotifier
+from gateway.robot.protocol.latency import Latency
+from gateway.robot.service import SERVOS_FILE, ServosFile
+from gateway.robot.settings import Settings
+from schemas import keys
+from tests.support.robot import leg, started_and_quiet
+
+
+@pytest.mark.parametrize(
+    ("latencies_us", "p50", "p99", "of_the_last"),
+    [
+        ([], None, None, (None, None)),
+        ([30] * 99 + [4_000], 50, 50, (30, 30)),
+        ([30] * 98 + [4_000] * 2, 50, 4_000, (30, 4_000)),
+        ([60, 150, 150, 150], 150, 150, (150, 150)),
+        ([900_000, 60], 100, 900_000, (60, 900_000)),
+    ],
+)
+def test_a_share_is_at_most_its_buckets_end_or_the_worst(
+    latencies_us: list[int], p50: float | None, p99: float | None, of_the_last: tuple[float | None, float | None]
+) -> None:
+    latency = Latency()
+    for each_us in latencies_us:
+        latency.record(each_us * 1000)
+    assert (latency.at_most_us(0.5), latency.at_most_us(0.99), latency.p50_p99_us()) == (p50, p99, of_the_last)
+
+
+# ---- The file that says on this machine whether a servo runs
+
+
+def test_what_an_earlier_run_has_left_is_taken_over(tmp_path: Path) -> None:
+    (tmp_path / SERVOS_FILE).write_text("something longer than the line, from another version\n")
+    file = ServosFile(tmp_path)
+    file.write(7, any_runs=True)
+    assert (tmp_path / SERVOS_FILE).read_text() == f"{7:020d} 1\n"
+
+
+def test_a_write_needs_no_room_in_a_folder_that_has_become_full(tmp_path: Path) -> None:
+    """Without a block, it would end the gateway by SIGBUS."""
+    ServosFile(tmp_path)
+    assert (tmp_path / SERVOS_FILE).stat().st_blocks
+
+
+def test_without_a_folder_it_is_nothing(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    ServosFile(None).write(1, any_runs=True)
+    with caplog.at_level(logging.WARNING):
+        ServosFile(tmp_path / "none").write(1, any_runs=True)
+    assert "an upgrade cannot see whether a servo runs" in caplog.text
+
+
+# ---- The notifications to systemd, on the test's own socket
+
+
+@contextmanager
+def notifier(**environment: str) -> Iterator[SystemdNotifier]:
+    """A notifier in this environment. A service's socket closes with its process."""
+    made = SystemdNotifier(environment)
+    with nullcontext() if made._socket is None else made._socket:
+        yield made
+
+
+@pytest.mark.parametrize("begins", ["", "@"], ids=["a file", "an abstract name"])
+def test_what_is_told_and_a_manager_that_does_not_read_holds_nobody_up(tmp_path: Path, begins: str) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
+        path = begins + str(tmp_path / "notify")
+        listener.bind(path.replace("@", "\0"))
+        listener.settimeout(5)
+        with notifier(NOTIFY_SOCKET=path) as made:
+            made.ready("takes commands")
+            made.stopping()
+            for _ in range(10_000):
+                made.alive()
+        told = [listener.recv(100) for _ in range(3)]
+    assert told == [b"READY=1\nSTATUS=takes commands", b"STOPPING=1", b"WATCHDOG=1"]
+
+
+@pytest.mark.parametrize(
+    ("path", "timeout_us", "pid", "period_s"),
+    [
+        ("/nowhere", "2000000", {}, 2 / PINGS_PER_TIMEOUT),
+        ("/nowhere", "2000000", {"WATCHDOG_PID": str(os.getpid())}, 2 / PINGS_PER_TIMEOUT),
+        ("/nowhere", "2000000", {"WATCHDOG_PID": str(os.getppid())}, None),
+        ("/nowhere", "0", {}, None),
+        ("", "2000000", {}, None),
+    ],
+)
+def test_how_often_it_wants_to_hear(path: str, timeout_us: str, pid: dict[str, str], period_s: float | None) -> None:
+    with notifier(NOTIFY_SOCKET=path, WATCHDOG_USEC=timeout_us, **pid) as made:
+        assert made.ping_period_s == period_s
+        if period_s is None:
+            made.alive()
+    assert signal.getitimer(signal.ITIMER_REAL) == (0, 0), "without systemd's watchdog nothing ends the process"
+
+
+# ---- What is written to a disk is written aside, and the owner of the state learns of it
+
+
+async def test_a_mistake_of_our_own_ends_the_service() -> None:
+    loop, learned = asyncio.get_running_loop(), asyncio.Future[str]()
+    loop.set_exception_handler(lambda _, context: learned.set_result(context["message"]))
+    disk = DiskWriter("disk", loop, Ownership())
+    disk.write(lambda: [0].remove(1), lambda _: None)  # raises ValueError
+    assert await learned == "the thread disk failed"
+    again = asyncio.Event()
+    disk.write(lambda: None, lambda _: loop.call_soon_threadsafe(again.set))
+    await again.wait()
+
+
+# ---- How many bytecodes a message takes: what is added shows here (docs/design.md, *How fast*)
+
+
+_ALL = {"legs": {str(number): leg("start", 90, 45, 120) for number in range(1, 7)}}
+
+
+def bytecodes(do: Callable[[], object]) -> tuple[int, int]:
+    """Return how many bytecodes of the gateway's own functions a call executes, and how many distinct ones.
+
+    The distinct ones predict the cost: other programs push the gateway out of the processor's caches.
+    """
+    executed: Counter[tuple[CodeType, int]] = Counter()
+
+    def trace(frame: FrameType, event: str, _arg: object) -> Any:
+        path = frame.f_code.co_filename
+        if not any(folder in path for folder in ("/gateway/robot/", "/gateway/model/", "/schemas/")):
+            return None
+        frame.f_trace_opcodes, frame.f_trace_lines = True, False
+        if event == "opcode":
+            executed[frame.f_code, frame.f_lasti] += 1
+        return trace
+
+    before = sys.gettrace()
+    sys.settrace(trace)
+    try:
+        do()
+    finally:
+        sys.settrace(before)
+    return executed.total(), len(executed)
+
+
+@pytest.mark.virtual_time
+@pytest.mark.parametrize(
+    ("key", "payload", "most", "most_distinct"),
+    [
+        pytest.param(keys.ESTOP, {}, 10800, 3520, id="an emergency stop while all legs run"),
+        pytest.param(keys.leg_command(3), leg("set", 91, 45, 120), 1745, 1440, id="a leg's setpoint"),
+        pytest.param(keys.LEGS_COMMAND, _ALL, 4850, 1420, id="a setpoint of all legs"),
+    ],
+)
+async def test_a_tick_of_a_stream_has_so_few_bytecodes(
+    key: str, payload: object, most: int, most_distinct: int
+) -> None:
+    """The stream is older than 0.8 s, when legs at rest would be due. Later Pythons count differently."""
+    robot = await started_and_quiet()
+    robot.put(keys.LEGS_COMMAND, _ALL)
+    for _ in range(60):
+        await asyncio.sleep(0.02)
+        robot.put(keys.LEGS_COMMAND, _ALL)
+    await asyncio.sleep(0.02)
+    executed, distinct = bytecodes(lambda: robot.put(key, payload))
+    more = 1.0 if sys.version_info < (3, 12) else 1.3
+    assert executed <= most * more
+    assert distinct <= most_distinct * more
+
+
+MOUNTS = """\
+22 1 0:30 / / rw,relatime - overlay overlayroot rw,lowerdir=/media/root-ro,upperdir=/media/root-rw/overlay
+23 22 179:3 / /var/lib/hexapod-gateway rw,noatime shared:2 - ext4 /dev/mmcblk0p3 rw
+24 22 0:31 / /run rw,nosuid - tmpfs tmpfs rw
+25 22 179:4 / /mnt/two\\040words rw - ext4 /dev/sda1 rw
+26 22 179:4 / /srv rw - ext4 /dev/sda1 rw
+27 26 0:33 / /srv rw - tmpfs tmpfs rw
+"""
+
+
+@pytest.mark.parametrize(
+    ("folder", "mount", "kind"),
+    [
+        ("/var/lib", "/", "overlay"),
+        ("/var/lib/hexapod-gateway/deeper", "/var/lib/hexapod-gateway", "ext4"),
+        ("/var/lib/hexapod-gateway.old", "/", "overlay"),
+        ("/run/user/0", "/run", "tmpfs"),
+        ("/mnt/two words/state", "/mnt/two words", "ext4"),
+        ("/srv/state", "/srv", "tmpfs"),
+    ],
+)
+def test_the_mount_of_a_folder(folder: str, mount: str, kind: str) -> None:
+    assert mount_of(Path(folder), MOUNTS) == (mount, kind)
+
+
+def test_a_file_system_in_memory_counts_as_one_that_forgets() -> None:
+    assert forgets(Path("/dev/shm")) == "tmpfs"  # noqa: S108 (the point of it)
+    assert forgets(Path("/proc")) == ""
+    assert "ext4" not in FORGETS
+
+
+def test_the_root_of_a_chroot_need_not_be_a_mount_point() -> None:
+    assert mount_of(Path("/var/lib"), "24 22 0:31 / /run rw,nosuid - tmpfs tmpfs rw") == ("/", "unknown")
+
+
+def sensed(number: float) -> Sensed:
+    """One whose 34 numbers all differ."""
+    values = [number + place / 64 for place in range(34)]
+    return Sensed(
+        (values[0], values[1], values[2], values[3]),
+        (values[4], values[5], values[6]),
+        (values[7], values[8], values[9]),
+        tuple(values[10:16]),
+        tuple(values[16:]),
+    )
+
+
+def test_a_reader_in_another_process_finds_the_newest() -> None:
+    writer = SensedPage()
+    reader = SensedPage(writer.fd)
+    assert reader.read() is None, "before the first"
+    for number in (1.0, 2.0, 3.0):
+        writer.write(sensed(number))
+        assert reader.read() == sensed(number)
+
+
+# ---- about simulated servos
+
+
+def test_another_process_reads_what_was_written() -> None:
+    writer = ServoPage()
+    reader = ServoPage(writer.fd)
+    writer.write(63, 12.25)
+    writer.feed({11, 63})
+    assert (reader.read()[63], reader.fed) == (12.25, frozenset((11, 63)))
+
+
+class Pipe:
+    """A pipe that is full until the test reads it."""
+
+    def __init__(self, *, blocking: bool = True) -> None:
+        ours, self.theirs = os.pipe()
+        self.reader: IO[str] = os.fdopen(ours)
+        os.set_blocking(self.theirs, False)
+        with suppress(BlockingIOError):
+            while True:
+                os.write(self.theirs, b"." * 4095 + b"\n")
+        os.set_blocking(self.theirs, blocking)
+
+    def lines(self) -> Iterator[str]:
+        """What was written since it was full."""
+        return (line.rstrip("\n") for line in self.reader if not line.startswith("."))
+
+    def close(self) -> None:
+        self.reader.close()
+        os.close(self.theirs)
+
+
+@pytest.fixture(params=[True, False], ids=["blocking", "non-blocking"])
+def pipe(request: pytest.FixtureRequest) -> Iterator[Pipe]:
+    pipe = Pipe(blocking=request.param)
+    yield pipe
+    pipe.close()
+
+
+def test_what_no_reader_takes_in_time_is_dropped_and_counted(pipe: Pipe) -> None:
+    log_writer = LogWriter(pipe.theirs)
+    line = "x" * 1000
+    for _ in range(2 * MAX_LINES_WAITING):
+        log_writer.enqueue(f"{line}\n")
+    dropped = log_writer.dropped
+    assert MAX_LINES_WAITING - 2 <= dropped <= MAX_LINES_WAITING
+    lines = pipe.lines()
+    written = [next(lines) for _ in range(2 * MAX_LINES_WAITING - dropped + 1)]
+    assert written.count(line) == len(written) - 1
+    assert f"{dropped} lines were dropped here, since they were not read in time" in written
+    log_writer.stop(10)
+
+
+def test_a_line_that_cannot_be_made_and_a_descriptor_that_rejects_hold_nobody() -> None:
+    full = os.open("/dev/full", os.O_WRONLY)
+    log_writer = LogWriter(full)
+    log_writer.handle(logging.makeLogRecord({"exc_info": "no exception"}))
+    log_writer.enqueue("lost\n")
+    log_writer.stop(10)
+    os.close(full)
+    assert log_writer.dropped == 2
+
+
+def test_a_record_is_queued_though_a_thread_that_does_not_run_holds_the_handlers_lock() -> None:
+    ours, theirs = os.pipe()
+    log_writer = LogWriter(theirs)
+    caller = threading.Thread(target=log_writer.handle, args=(logging.makeLogRecord({"msg": "queued"}),), daemon=True)
+    log_writer.acquire()
+    caller.start()
+    caller.join(5)
+    assert not caller.is_alive()
+    log_writer.release()
+    log_writer.stop(10)
+    os.close(theirs)
+    with os.fdopen(ours) as reader:
+        assert reader.read() == "queued\n"
+
+
+def test_what_is_printed_goes_the_same_way(pipe: Pipe) -> None:
+    log_writer = LogWriter(pipe.theirs)
+    stream = LogStream(log_writer)
+    lines = pipe.lines()
+    print("a", "result", file=stream)
+    stream.write("two\nlines and a part")
+    assert [next(lines) for _ in range(2)] == ["a result", "two"]
+    print(flush=True, file=stream)
+    assert next(lines) == "lines and a part"
+    log_writer.stop(10)
+
+
+USED = Settings.of(
+    {
+        "spi": {"framing": "length-prefixed", "device": '/dev/spi"dev1.0', "speed_hz": 500_000, "frame_gap_us": 60.5},
+        "controller": {"uart": "/dev/ttyS0"},
+        "power": {"interface": "slcan", "channel": "/dev/ttyACM0"},
+    }
+)
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The service's runtime directory."""
+    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
+    monkeypatch.delenv("INVOCATION_ID", raising=False)
+    return tmp_path
+
+
+def test_without_a_runtime_directory_nothing_is_written(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+    monkeypatch.delenv("RUNTIME_DIRECTORY")
+    effective.write(ForStops(USED.wire, USED.spi, USED.controller, USED.power))
+    assert list(folder.iterdir()) == []
+
+
+def test_a_process_that_ended_and_one_that_has_its_number(folder: Path) -> None:
+    """A number alone shows nothing: the kernel gives it again."""
+    effective.write(ForStops(USED.wire, USED.spi, USED.controller, USED.power))
+    written = json.loads((folder / effective.NAME).read_text())
+    beyond = 2**22 + 1  # which the kernel gives to none
+    for others in ({"process": beyond}, {"begun": 1}):
+        (folder / effective.NAME).write_text(json.dumps(written | others))
+        found = effective.read()
+        assert found is not None
+        assert not found.runs
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"\xff",
+        b"[]",
+        b"[" * 5000,
+        b'{"spi": 3}',
+        b'{"spi": {"framing": "Plain"}}',
+        b'{"spi": {"framing": "plain", "speed_hz": 0}}',
+    ],
+)
+def test_a_damaged_file_says_nothing(folder: Path, content: bytes) -> None:
+    assert effective.read() is None
+    (folder / effective.NAME).write_bytes(content)
+    assert effective.read() is None
+
+
+def test_where_a_file_differs(folder: Path) -> None:
+    effective.write(ForStops(USED.wire, USED.spi, USED.controller, USED.power))
+    found = effective.read()
+    assert found is not None
+    file = folder / "gateway.toml"
+    rest = 'device = "/dev/spi\\"dev1.0"\nspeed_hz = 500_000\nframe_gap_us = 60.5\n'
+    uart = "[controller]\nuart = '/dev/ttyS0'\n"
+    uart += "[power]\ninterface = 'slcan'\nchannel = '/dev/ttyACM0'\n"
+    file.write_text(f'[spi]\nframing = "length-prefixed"\n{rest}{uart}')
+    assert effective.differences(found, file) == []
+    assert found == effective.running()
+    file.write_text(f'[spi]\nframing = "plain"\nspeed_hz = 500_000\n{uart}')
+    assert effective.differences(found, file) == [
+        f'{file} has spi.framing = "plain", and the service uses "length-prefixed"',
+        f'{file} has spi.device = "/dev/spidev0.0", and the service uses "/dev/spi\\"dev1.0"',
+        f"{file} has spi.frame_gap_us = 50.0, and the service uses 60.5",
+    ]
+    for text in ("spi = 3\n", "no TOML"):
+        file.write_text(text)
+        assert Framing.LENGTH_PREFIXED in effective.differences(found, file)[0]
+    os.mkfifo(folder / "FIFO")
+    for name in ("none", "FIFO"):
+        assert "cannot be read" in effective.differences(found, folder / name)[0]
