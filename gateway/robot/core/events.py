@@ -66,12 +66,13 @@ class Request:
         return bool(self.targets) and all(op.op is OP_STOP for _, op in self.targets)
 
 
-def _by_leg(targets: Targets) -> dict[int, Targets]:
-    by_leg: dict[int, Targets] = {}
+def targets_by_leg(targets: Targets) -> dict[int, Targets]:
+    """Return the targets of each leg."""
+    found: dict[int, Targets] = {}
     for target in targets:
         leg = target[0] // 10
-        by_leg[leg] = (*by_leg.get(leg, ()), target)
-    return by_leg
+        found[leg] = (*found.get(leg, ()), target)
+    return found
 
 
 @final
@@ -92,7 +93,7 @@ class Command(Request):
 
     def __post_init__(self) -> None:
         if self.targets:
-            self.aim(self.targets, _by_leg(self.targets))
+            self.aim(self.targets, targets_by_leg(self.targets))
 
     def aim(self, targets: Targets, by_leg: dict[int, Targets]) -> None:
         """Set the targets of a new command; `by_leg` has the same ones."""

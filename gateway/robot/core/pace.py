@@ -62,7 +62,7 @@ class Paces:
         """
         if servo.known is not None and self._rules.takeover_cdeg_s:
             angle_cdeg, stopped_ns, calibration = servo.known
-            if calibration is self._limits.calibration and now_ns - stopped_ns <= self._rules.takeover_known_ns:
+            if calibration == self._limits.calibration and now_ns - stopped_ns <= self._rules.takeover_known_ns:
                 return angle_cdeg
         return op.angle_cdeg if self._rules.angles_first else None
 

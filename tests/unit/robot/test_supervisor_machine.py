@@ -1,7 +1,7 @@
 """The supervisor under random commands, delays, faults and settings, with a controller that does what the frames say.
 
 The oracle judges every step; the controller, and a plug-in in its place, say which servos are really energised. Time
-may jump over any number of deadlines, and any transfer may fail.
+may jump over any number of deadlines, and any transfer may fail. What the journal keeps of all this decides the same.
 """
 
 from collections import defaultdict
@@ -12,11 +12,13 @@ import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
+from pydantic_core import from_json, to_json
 
 from gateway.errors import SpiError
 from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.model.frames import STOP, Framing, Op, ServoOp, decode, servo_ids_of
 from gateway.rate_limit import NS_PER_MS
+from gateway.robot.blackbox import journal
 from gateway.robot.core import events
 from gateway.robot.core.rules import Rules
 from gateway.robot.core.supervisor import Supervisor
@@ -154,6 +156,12 @@ class Plugged(ServoWire):
         pass
 
 
+def with_the_journals_token(effect: events.Effect) -> events.Effect:
+    if not isinstance(effect, events.RequestAnswer) or effect.token is None:
+        return effect
+    return replace(effect, token=journal.token_text(journal.token_number(effect.token)))
+
+
 class SupervisorMachine(RuleBasedStateMachine):
     """One supervisor, its judge and its robot."""
 
@@ -174,6 +182,9 @@ class SupervisorMachine(RuleBasedStateMachine):
         self.controller = FaultyController(Framing.PLAIN, clock=lambda: self.now_ns)
         self.plugged = Plugged({})
         self.plugin = PluginDevice("plugged", self.plugged, exclusive=False)
+        self.keyframes = journal.Keyframes(self.supervisor)
+        self.played = journal.restored(self.keyframes.take())
+        """Began with a keyframe, and takes the journal's events."""
         self.number = 1
         self.instant_ns: int | None = None
         if self.now_ns > 1:  # else it may be opened later, or not at all
@@ -201,6 +212,9 @@ class SupervisorMachine(RuleBasedStateMachine):
             demand(same, "the source of commands changes only events, and the speed of a take-over")
         demand(self.supervisor.mode in TRANSITIONS[mode][type(event)], f"{mode} leads to {self.supervisor.mode}")
         self.oracle.judge(event, self.now_ns, effects, self.supervisor, self.instant_ns)
+        written = to_json(journal.plain_event(event))  # after its step, as the black box writes it
+        played = self.played.step(journal.event_of(from_json(written)), self.now_ns, self.instant_ns)
+        assert list(map(numbered, played)) == [numbered(with_the_journals_token(each)) for each in effects]
         fault: SpiError | None = None
         batches: dict[bool, list[Transfer]] = {True: [], False: []}
         for effect in effects:
@@ -239,6 +253,8 @@ class SupervisorMachine(RuleBasedStateMachine):
         if instant:
             self.now_ns += 1
             self.instant_ns = self.now_ns if instant == "begins" else None
+        if rarely % 10 == 0:
+            self.played = journal.restored(self.keyframes.take())
         if fails is not None:
             self.controller.fail_next(fails)
         rules, mode, due_ns = self.supervisor._rules, self.supervisor.mode, self.supervisor.due_ns
