@@ -1,19 +1,23 @@
-"""Bytes are lost on the wire: the controller is out of sync, and nothing comes back that could say so.
-
-A sample of a minute's faults on the simulated controller, with the real conductor, supervisor and bus in virtual time.
-"""
+"""Bytes are lost or framed wrongly on the wire: the controller is out of sync, and nothing says so."""
 
 import logging
+import os
+import subprocess
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
+from gateway.model.frames import Framing
 from tests.deaf.faults import Watcher, lose_bytes, lose_transfers, recorded
 from tests.deaf.flips import one_bit, one_more, outcomes, runs, two_bits_of_a_byte
 from tests.deaf.minute import minute, stopped_walk
+from tests.deaf.shifts import faults, worst
+from tests.support.gateway_process import COMMAND
 from tests.support.robot import MS
 
 pytestmark = pytest.mark.virtual_time
+
 
 MINUTE_MS = 60_500
 STOP_MS = 2_000
@@ -77,8 +81,39 @@ async def test_a_fault_in_the_last_run_starts_a_servo_by_a_stops_operation_alone
     log = await recorded(stopped_walk(STOP_MS), STOP_MS + REST_MS)
     (before_ns, before), (last_ns, last) = runs(log)[-2:]
     assert "on" not in str(outcomes(one_bit(last)))
-    for faults in (two_bits_of_a_byte, one_more):
-        found = outcomes(faults(last))
+    for changed in (two_bits_of_a_byte, one_more):
+        found = outcomes(changed(last))
         assert found["on"] == 18
         assert not found["dead and on"]
-        assert "on" not in str(outcomes(faults(before), [(last_ns - before_ns, last)]))
+        assert "on" not in str(outcomes(changed(before), [(last_ns - before_ns, last)]))
+
+
+AVOID = Framing.LENGTH_PREFIXED.avoid_cdeg
+ALL_FAULTS = [(servos, what, stream) for servos in (1, 3) for what, stream in faults(servos)]
+
+
+def test_no_legal_frame_with_one_byte_lost_or_doubled_has_an_id_that_kills() -> None:
+    assert AVOID == (1_00, 4_00)
+    found = {what: worst(stream, AVOID) for _, what, stream in ALL_FAULTS}
+    assert len(ALL_FAULTS) == 2 * (7 + 15)
+    assert not any(found.values()), found
+    assert any(worst(stream, None) for _, _, stream in ALL_FAULTS), "were it not for the angles that are never sent"
+
+
+@pytest.mark.parametrize("command", ["run", "stop-servos", "check"])
+def test_no_device_is_touched_before_somebody_has_said_the_framing(tmp_path: Path, command: str) -> None:
+    device = tmp_path / "spidev0.0"  # as good as any to be opened and written to
+    device.touch()
+    config = tmp_path / "gateway.toml"
+    config.write_text(f'[spi]\ndevice = "{device}"\n')
+    env = {name: value for name, value in os.environ.items() if name != "HEXAPOD_SPI__FRAMING"}
+    end = subprocess.run(
+        [*COMMAND, command, "--config", str(config)], capture_output=True, text=True, check=False, timeout=30, env=env
+    )
+    assert end.returncode == 2
+    unset, document, published = end.stderr.splitlines()
+    assert "spi.framing: is not set" in unset
+    assert 'published STM32 firmware needs "length-prefixed"' in published
+    assert 'protocol document needs "plain"' in document
+    assert end.stdout == ""
+    assert device.stat().st_size == 0

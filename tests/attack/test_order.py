@@ -1,8 +1,4 @@
-"""A Stop is never overtaken by an older Start of the same session, whatever keys and verbs the two take.
-
-Through the real Zenoh, from process to process, beside others' traffic: an older Start waits in a ring that has been
-read already, or its wakeup is still with the thread that waits for it, when the Stop is taken from another ring.
-"""
+"""No Stop is overtaken by an older Start of its session, pushed out by a flood, or lost among what a link held back."""
 
 import itertools
 import json
@@ -14,10 +10,14 @@ from typing import Any
 import pytest
 import zenoh
 
-from gateway.client import Client, leg_payload, servo_payload
+from gateway.client import Client, leg_payload, legs_payload, servo_payload
+from schemas import keys
 from schemas.keys import LEGS_COMMAND, leg_command, servo_command
-from tests.benchmarks.processes import publishing
+from schemas.telemetry import Kind
+from tests.benchmarks.processes import flooding, publishing
+from tests.support.cut_link import CutLink
 from tests.support.gateway_process import Gateway
+from tests.support.heard import events
 
 SETTINGS = {"watchdog": {"timeout_ms": 10_000}, "limits": {"leg_rate_hz": 1000}}
 TRIES = 160
@@ -68,3 +68,76 @@ def test_no_start_overtakes_a_stop_of_the_same_session(tmp_path: Path, messages_
     with Gateway(tmp_path, SETTINGS) as gateway, gateway.client() as client, publishing(gateway.endpoint, *traffic):
         assert overtaken(client, [(("leg", "put"), ("servo", "put"))], TRIES) == Counter()
         assert overtaken(client, PAIRS, TRIES) == Counter()
+
+
+FLOODED: dict[str, dict[str, Any]] = {"watchdog": {"timeout_ms": 10_000}}
+FLOODS = 200
+KEY = leg_command(3)
+
+
+@pytest.mark.parametrize("flood", [json.dumps(leg_payload("set", (1, 2, 3))), "{ not JSON"])
+def test_a_stop_under_a_flood_of_its_own_key_stops(tmp_path: Path, flood: str) -> None:
+    with Gateway(tmp_path, FLOODED) as gateway, gateway.client() as client, flooding(gateway.endpoint, KEY, flood):
+        ran = 0
+        for _ in range(FLOODS):
+            # In the instant of the last Stop it is rejected, and another tick is another instant.
+            assert any(client.start_leg(3, 90, 90, 90, check=False).accepted for _ in range(100))
+            client.publish(KEY, leg_payload("stop"))
+            # By another ring, after the Stop. Only a leg that runs takes it.
+            ran += client.set_leg(3, 90, 90, 91, check=False).accepted
+        assert ran == 0, f"in {ran} of {FLOODS} tries the leg went on running"
+
+
+POSE = (90, 45, 120)
+COUNT = 50
+SENT = {
+    keys.LEGS_COMMAND: (legs_payload("set", {3: POSE}), legs_payload("stop", {3: ()})),
+    keys.leg_command(3): (leg_payload("set", POSE), leg_payload("stop")),
+}
+"""By its key: a Set and a Stop of leg 3."""
+
+
+@pytest.mark.parametrize("key", SENT)
+def test_no_stop_among_what_was_held_back_is_lost(tmp_path: Path, key: str) -> None:
+    """Wherever it is among them, it stops the leg: what comes after it only sets, and so starts nothing."""
+    setpoint, stop = SENT[key]
+    with (
+        Gateway(tmp_path, {"watchdog": {"timeout_ms": 400}}) as gateway,
+        gateway.client() as watcher,
+        CutLink(gateway.endpoint) as link,
+        Client(link.endpoint, source="laptop") as laptop,
+    ):
+        heard = events(watcher)
+        for place in range(0, COUNT, 3):
+            assert any(watcher.start_leg(3, *POSE, check=False).accepted for _ in range(100))
+            link.hold()
+            for number in range(COUNT):
+                # Not `Client.publish`: which drops what its own full queue has no room for.
+                laptop.session.put(
+                    key,
+                    json.dumps(stop if number == place else setpoint),
+                    express=True,
+                    congestion_control=zenoh.CongestionControl.BLOCK,
+                )
+            link.fix()
+            laptop.state()  # on the same link, behind all that was held back
+            assert not laptop.set_leg(3, *POSE, check=False).accepted, f"it runs, and the {place}th was a Stop"
+        assert not [event for event in heard.all if event.kind == Kind.OVERFLOW]
+
+
+@pytest.mark.parametrize(("count", "exact"), [(30, True), (55, True), (2000, False)])
+def test_each_message_is_counted_once(tmp_path: Path, count: int, exact: bool) -> None:
+    """If a ring overflows, the counter of lost messages is a lower bound."""
+    key = keys.leg_command(3)
+    with Gateway(tmp_path) as gateway, CutLink(gateway.endpoint) as link, Client(link.endpoint) as laptop:
+        link.hold()
+        for _ in range(count):
+            laptop.session.put(
+                key, json.dumps(SENT[key][0]), express=True, congestion_control=zenoh.CongestionControl.BLOCK
+            )
+        link.fix()
+        assert not laptop.set_leg(3, *POSE, check=False).accepted  # on the same link, after all that was held back
+        counts = laptop.state().commands
+        counted = counts.accepted + counts.rejected + counts.passed_over + counts.lost
+        assert counted == count + 1 if exact else count >= counted
+        assert exact or counts.passed_over + counts.lost > 0

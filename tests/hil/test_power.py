@@ -19,12 +19,12 @@ from schemas.telemetry import Kind, Mode, Reason
 from tests.hil.bed import SpiTestbed, Transfer
 from tests.hil.test_elkapod import ElkapodBed
 from tests.hil.wire import LATE_S, START_3, STOPS, Wire, start
+from tests.support.boards import RecordedBoard, answers_steadily
 from tests.support.child import frozen
 from tests.support.elkapod import angles_of
 from tests.support.fixtures import client_fixture
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.heard import events, servos_on, states
-from tests.support.recorded_board import RecordedBoard, answers_steadily
 
 pytestmark = pytest.mark.hil
 

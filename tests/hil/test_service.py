@@ -48,7 +48,7 @@ def test_the_start_sets_the_device_up_and_stops_all_legs_before_anyone_can_comma
 
 
 def test_the_first_stops_wait_for_nothing_that_the_service_loads(tmp_path: Path, spi_testbed: SpiTestbed) -> None:
-    """This service ends before it opens the device. Without a framing: tests/attack/test_framing.py."""
+    """This service ends before it opens the device. Without a framing: tests/attack/test_deaf_controller.py."""
     config = tmp_path / "gateway.toml"
     config.write_text(f'[limits]\nleg_rate_hz = -1\n[spi]\nframing = "{Framing.PLAIN}"\n')
     child = spi_testbed.spawn([*COMMAND, "run", "--config", str(config)])

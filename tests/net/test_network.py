@@ -1,10 +1,4 @@
-"""A robot and its laptops on links that are cut, flooded and frozen: whatever the network does, the legs stop in time.
-
-Times are between two transfers to SPI, by the gateway's one clock. What is promised is a Stop at most 5 ms after
-`timeout_ms`; these tests share the machine with whatever else runs on it, which may take the processor from the
-gateway for longer than that. So the median is held to 20 ms, and no Stop may be later than half of the timeout:
-one that waited for a link came after seconds. Measured figures are printed (`pytest -rP`).
-"""
+"""A robot and its laptops on links that are cut, flooded, frozen or late: the legs stop in time."""
 
 import itertools
 import json
@@ -14,7 +8,8 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from typing import Final, NamedTuple
+from pathlib import Path
+from typing import Any, Final, NamedTuple
 
 import pytest
 
@@ -26,8 +21,10 @@ from tests.benchmarks.processes import flooding
 from tests.net.hosts import NICE, PORT, TIMEOUT_MS, LaptopHost, RobotHost, is_command, is_stop
 from tests.net.namespaces import BUFFER_BYTES, Network
 from tests.support.child import Child, frozen
+from tests.support.gateway_process import COMMAND, Gateway, free_port
 
 pytestmark = pytest.mark.net
+
 
 CUTS = 5
 HZ = 50
@@ -239,3 +236,56 @@ def check_a_start_moves_it(robot: RobotHost, laptop: LaptopHost) -> None:
     laptop.stream(1)
     robot.wait_for_commands(1, count=10)
     assert robot.running == {1}
+
+
+def test_what_is_there_is_listened_on_and_the_rest_as_soon_as_it_comes(tmp_path: Path) -> None:
+    """In one session: who is connected stays so. A page of metrics waits likewise."""
+    port, page, late = free_port(), free_port(), "10.77.0.3"
+    here, there = f"tcp/127.0.0.1:{port}", f"tcp/{late}:{port}"
+    settings: dict[str, dict[str, Any]] = {
+        "zenoh": {"listen": [there, here], "allow_insecure": True},
+        "telemetry": {"metrics": f"{late}:{page}"},
+    }
+    with Network() as network, Gateway(tmp_path, settings, prefix=network.robot) as gateway:
+        gateway.child.wait_for_output(f"does not listen on {there} yet: Cannot assign requested")
+        with Child([*network.robot, *COMMAND, "status", "--follow", "--connect", here], os.environ) as inside:
+            inside.wait_for_output(f"Does not listen on tcp/{late}:{page}, {there} yet: the address is not there.")
+            assert network.another_address(0) == late
+            gateway.child.wait_for_output(f"listens on {there}, too")
+            gateway.child.wait_for_output(f"listens on tcp/{late}:{page}, too")
+            with Child([*network.laptop(0), *COMMAND, "status", "--connect", there], os.environ) as outside:
+                assert outside.wait() == 0
+                assert "Does not listen" not in outside.stdout
+            with Child([*network.robot, *COMMAND, "estop", "--connect", here], os.environ) as estop:
+                assert estop.wait() == 0
+            inside.wait_for_output("estop_engaged")
+            assert "silent" not in inside.stdout, "its session went on"
+
+
+def test_a_gateway_that_listens_nowhere_says_that_nobody_can_reach_it(tmp_path: Path) -> None:
+    """On ::1 alone, without IPv6: until the kernel has it."""
+    there = f"tcp/[::1]:{free_port()}"
+    with Network() as network:
+        network.ipv6(on=False)
+        with Gateway(tmp_path, {"zenoh": {"listen": [there]}}, prefix=network.robot) as gateway:
+            gateway.child.wait_for_output("nobody can reach this gateway, since it listens nowhere: set zenoh.listen")
+            network.ipv6(on=True)
+            gateway.child.wait_for_output(f"listens on {there}, too")
+            with Child([*network.robot, *COMMAND, "status", "--connect", there], os.environ) as status:
+                assert status.wait() == 0
+
+
+@pytest.mark.parametrize(("listen", "missing"), [("tcp/[::]:{}", False), ("tcp/[::1]:{}", True)])
+def test_without_ipv6_it_listens_by_ipv4(tmp_path: Path, listen: str, missing: bool) -> None:
+    """On all addresses, where the file names all; what certs makes does."""
+    port = free_port()
+    here, given = f"tcp/127.0.0.1:{port}", listen.format(port)
+    settings = {"zenoh": {"listen": [given, *([here] if missing else [])], "allow_insecure": True}}
+    with Gateway(tmp_path, settings, prefix=(sys.executable, "-m", "tests.support.without_ipv6")) as gateway:
+        with Child([*COMMAND, "status", "--follow", "--connect", here], os.environ) as status:
+            status.wait_for_output(f"Does not listen on {given} yet" if missing else "Nobody drives.")
+            assert ("Does not listen" in status.stdout) is missing
+        if missing:
+            gateway.child.wait_for_output(f"does not listen on {given} yet")
+        else:
+            assert "does not listen on" not in gateway.child.stderr

@@ -5,8 +5,8 @@ A call is written as its zeros (`16z`), a leg's number for its Stop, `s` for ser
 """
 
 import re
-from collections.abc import Callable, Sequence
-from typing import Final
+from collections.abc import Callable, Mapping, Sequence
+from typing import Final, TypeVar
 
 from gateway.errors import BatchRejectedError, SpiError
 from gateway.host.settings_table import SpiSettings
@@ -14,7 +14,6 @@ from gateway.model.frames import STOP, ZERO, Frame, Framing, OneLeg, OneServo, O
 from gateway.robot.spi import Batch, BatchReport, SpiDevice
 from gateway.robot.spi.bus import CS_CHANGE_NS, Bus
 from schemas.robot import LEGS
-from tests.support.lines import play
 
 MS: Final = 1_000_000
 MOVES: Final = [OneLeg(leg, (ServoOp(Op.SET, 90_00),) * 3) for leg in LEGS]
@@ -188,3 +187,34 @@ FACTS: Final[dict[str, Callable[[Bench], object]]] = {
     "looks": lambda bench: bench.looks,
 }
 """What is so, by its first word; `sent 6?54` are the places of what was sent, with what may not have been received."""
+
+
+T = TypeVar("T")
+FAULT: Final = "fault"
+"""The fact that a text contains; of the other facts, the text is equal."""
+
+
+def play(
+    subject: T,
+    scene: str,
+    done: Mapping[str, Callable[[T, str], object]],
+    made: Callable[[T], list[str]],
+    facts: Mapping[str, Callable[[T], object]],
+) -> T:
+    """Take each line of it. `made`: the words since it was last asked."""
+    for line in filter(None, map(str.strip, scene.splitlines())):
+        actions, arrow, expected = line.partition("  #")[0].partition("→")
+        for each in actions.split(";"):
+            word, _, rest = each.strip().partition(" ")
+            done[word](subject, rest)
+        if not arrow:
+            continue
+        wanted, *others = (each.strip() for each in expected.split(";"))
+        words, more, _ = wanted.replace("nothing", "").partition("…")
+        found = made(subject)
+        assert (found[: len(words.split())] if more else found) == words.split(), f"{line}: {found}"
+        for fact in others if any(each.startswith(FAULT) for each in others) else (*others, f"{FAULT} None"):
+            word, _, text = fact.partition(" ")
+            is_so = str(facts[word](subject))
+            assert text in is_so if word == FAULT else text == is_so, f"{line}: {fact}, but {is_so}"
+    return subject

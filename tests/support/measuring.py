@@ -4,6 +4,7 @@ from contextlib import AbstractContextManager
 from typing import Final
 
 from gateway.client import Client
+from gateway.model.elkapod import Measured
 from schemas import keys
 from schemas.telemetry import Battery, Imu, Telemetry
 from tests.support.published import WALL
@@ -41,3 +42,16 @@ _PERIOD_S: Final = 0.1
 def measures(client: Client, telemetry: Telemetry) -> AbstractContextManager[None]:
     """A robot that measures this, ten times a second."""
     return meanwhile(lambda: client.session.put(keys.TELEMETRY, telemetry.model_dump_json()), _PERIOD_S)
+
+
+AT_REST: Final = Measured(
+    temperature_c=31.5,
+    voltage_v=7.5,
+    percent=80.0,
+    orientation_wxyz=(1.0, 0.0, 0.0, 0.0),
+    angular_velocity_rad_s=(0.0, 0.25, 0.0),
+    linear_acceleration_m_s2=(0.0, 0.0, 9.75),
+    feet=(1.0, 2.0, 3.0, 4.0, 5.0, 6.0),
+)
+ON_ITS_SIDE: Final = AT_REST._replace(orientation_wxyz=(0.75, 0.65625, 0.0, 0.0))
+"""Tilted by some 82 degrees."""

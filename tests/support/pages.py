@@ -1,8 +1,14 @@
-"""The commands that a page gives, out of its code blocks, and programs that take the place of other machines."""
+"""Commands that pages and messages contain: out of code blocks, and parsed by the program's own parser."""
 
+import ast
 import re
+from collections.abc import Callable
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
+
+import click
+
+from tests.support.command import program
 
 DOCS: Final = Path(__file__).parents[2] / "docs"
 
@@ -44,3 +50,78 @@ def programs(folder: Path, **texts: str) -> str:
         (folder / name).write_text(text)
         (folder / name).chmod(0o755)
     return str(folder)
+
+
+_COMMAND = re.compile(r"(?P<quoted>`?)hexapod-gateway (?P<rest>[^`→]*)")
+_OWN = re.compile(r"\{run\[([^]]*)\]\}")
+_PLACEHOLDER = re.compile(r"\{[^}]*\}")
+_VALUE = re.compile(r"[A-Z][A-Z_0-9]*\b|.*[/.\d]")
+"""No word of a sentence."""
+_NO_VALUE = frozenset({"//", "(7)"})
+_END = ",;:.)"
+
+
+def parse_commands(text: str) -> list[list[str]]:
+    """Parse each, and return their words. Raises UsageError for a command that the program would reject.
+
+    A name in `backticks` without arguments, or alone, is no command to copy: it has to exist.
+    """
+    commands = []
+    for each in _COMMAND.finditer(_PLACEHOLDER.sub("7", _OWN.sub(r"hexapod-gateway \1", text))):
+        words = _words(each["rest"])
+        named = each["quoted"] and " ".join(words) == each["rest"]
+        if words and not named:
+            _parse(words)
+            if words[0] == "certs" and "--dir" not in each["rest"] and each[0] != text:
+                raise click.UsageError(f"{' '.join(words)} finds no folder of certificates without --dir")
+        commands += [words] if words else []
+    return commands
+
+
+def texts(source: str, shown: Callable[[ast.expr], str]) -> list[str]:
+    """The strings of a module but its docstrings, each on one line, and each value in them as `shown` has it."""
+    tree = ast.parse(source)
+    inner = {id(part) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in node.values}
+    inner |= {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    found = [
+        node for node in ast.walk(tree) if isinstance(node, ast.JoinedStr | ast.Constant) and id(node) not in inner
+    ]
+    parts = [node.values if isinstance(node, ast.JoinedStr) else [node] for node in found]
+    whole = (
+        "".join(str(each.value) if isinstance(each, ast.Constant) else shown(each) for each in few) for few in parts
+    )
+    return [" ".join(text.split()) for text in whole]
+
+
+def _words(rest: str) -> list[str]:
+    """The words up to where the sentence goes on."""
+    command = program()
+    words: list[str] = []
+    value, arguments = False, list[Any]()
+    for each in rest.split():
+        word = each if "(" in each else each.rstrip(_END)
+        known = getattr(command, "commands", {})
+        if word in known:
+            command = known[word]
+            arguments = [each for each in command.params if each.param_type_name == "argument" and each.required]
+        elif not words or not (value or each[0] == "-" or arguments or (_VALUE.match(word) and each not in _NO_VALUE)):
+            break
+        options = [option for option in command.params if word in option.opts]
+        if not (word in known or value or each[0] == "-"):
+            arguments = arguments[1:]
+        value = each[0] == "-" and not any(option.is_flag for option in options)
+        words.append(word)
+        if word != each:
+            break
+    return words
+
+
+def _parse(words: list[str]) -> None:
+    command = program()
+    context = command.make_context("hexapod-gateway", words)
+    while hasattr(command, "commands"):
+        left = [*context._protected_args, *context.args]
+        if not left and command.invoke_without_command:
+            return
+        name, command, rest = command.resolve_command(context, left)
+        context = command.make_context(name, rest, parent=context)

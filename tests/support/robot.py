@@ -33,7 +33,7 @@ from schemas.button import ButtonAck
 from schemas.lease import LeaseAck
 from schemas.state import StateReport, joined
 from schemas.telemetry import Ack, ConfigReport, Event, FrameRecord, GatewayState, Kind
-from tests.support.faulty_controller import FaultyController
+from tests.support.controllers import FaultyController
 
 MS = 1_000_000
 A = TypeVar("A", bound=BaseModel)

@@ -39,7 +39,7 @@ SHOWN_ELSEWHERE = {
     "controller.uart": "hil/test_elkapod.py",
     "buttons.names": "test_lease.py",
     "state.path": "zenoh/test_calibration.py",
-    "telemetry.metrics": "test_metrics.py",
+    "telemetry.metrics": "test_reports.py",
     "power.interface": "hil/test_power.py",
     "power.channel": "hil/test_power.py",
     "power.servos": "test_power_line.py",

@@ -16,12 +16,12 @@ from gateway.onboard.check.move import Bench
 from gateway.onboard.check.stops import STEPS
 from gateway.onboard.check.table import FailedError
 from gateway.people.commands.moving import ServoMotion
+from tests.support.boards import RecordedBoard
 from tests.support.command import Ended
 from tests.support.fixtures import gateway_fixture, patient
 from tests.support.gateway_process import Gateway, free_port
 from tests.support.heard import frames, states
 from tests.support.planted_gateway import MISTAKES
-from tests.support.recorded_board import RecordedBoard
 from tests.support.secured import Secured
 from tests.support.waiting import wait_until
 

@@ -1,9 +1,10 @@
-"""Walking through a real gateway: what it sends, how a walk ends, and what the first and the second Ctrl-C do."""
+"""Walking through a real gateway: what it sends, how a walk ends, what Ctrl-C does, and a leg that is stopped."""
 
 import os
 import signal
 import sys
 import time
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Final
 
@@ -16,11 +17,12 @@ from gateway.people.walking.engine import Engine
 from gateway.people.walking.motion import STILL, Posture
 from gateway.people.walking.robot import Robot
 from schemas.robot import JOINTS, LEGS
-from schemas.telemetry import FrameRecord, Mode
+from schemas.telemetry import FrameRecord, Kind, Mode
 from tests.support.child import Child
+from tests.support.cut_link import CutLink
 from tests.support.fixtures import client_fixture, gateway_fixture, patient
 from tests.support.gateway_process import Gateway
-from tests.support.heard import frames, last_angles, running
+from tests.support.heard import events, frames, last_angles, running
 
 PATIENT: Final = patient(10_000, telemetry={"frames": True})
 QUICKER: Final = 4
@@ -217,3 +219,33 @@ def _sits_down(records: list[FrameRecord], stood: dict[int, float], seated: dict
     now = last_angles(records)
     knees = [10 * leg + 2 for leg in LEGS]
     return all(abs(now[knee] - stood[knee]) > abs(seated[knee] - stood[knee]) / 3 for knee in knees)
+
+
+WATCHDOG_MS = 1500
+DELAY_S = 0.3
+"""In each direction. A client that asks twice before it goes on is silent for longer than the watchdog waits."""
+
+
+def walks_on(walk: Walk) -> None:
+    while True:
+        walk.go(forward_m_s=0.03)
+
+
+def test_the_other_legs_of_a_walk_keep_running(tmp_path: Path) -> None:
+    with (
+        Gateway(tmp_path, patient(WATCHDOG_MS)) as gateway,
+        CutLink(gateway.endpoint, DELAY_S) as link,
+        Client(gateway.endpoint, source="watcher") as watcher,
+        Client(link.endpoint, source="walker", timeout_s=10) as robot,
+        robot.walk() as walk,
+    ):
+        happened = events(watcher)
+        walk.stand()
+        watcher.stop(3)
+        with pytest.raises(StoppedError, match="watcher stopped leg 3") as stopped:
+            walks_on(walk)
+        assert stopped.value.legs == (3,)
+        answered = robot.state(), robot.state()  # twice the way there and back, longer than the watchdog's timeout
+        assert [leg.leg for leg in answered[-1].legs if leg.running] == [1, 2, 4, 5, 6]
+        assert running(watcher) == [1, 2, 4, 5, 6]
+        assert Kind.WATCHDOG_EXPIRED not in [event.kind for event in happened.all]

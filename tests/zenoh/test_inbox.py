@@ -2,17 +2,28 @@
 
 import json
 import time
+from contextlib import closing
+from queue import SimpleQueue
 
 import pytest
 import zenoh
+from zenoh.handlers import RingChannel
 
 from gateway.client import Client, leg_payload, servo_payload
+from gateway.host.settings_table import ZenohSettings
 from gateway.model.frames import Frame, decode, stop_leg
+from gateway.robot.zenoh_io.outbox import ZenohOutbox
+from gateway.robot.zenoh_io.session import service_config
+from gateway.robot.zenoh_io.unknown_keys import UnknownKeys
+from gateway.zenoh.config import client_config, open_session
 from schemas import keys
+from schemas.keys import STATE, TELEMETRY
 from schemas.robot import SERVO_IDS
-from schemas.telemetry import Ack, Cause, FrameRecord, Kind, Mode
+from schemas.telemetry import Ack, Cause, FrameRecord, Kind, Mode, Telemetry
 from tests.support.fixtures import client_fixture, gateway_fixture
+from tests.support.gateway_process import Gateway, free_port
 from tests.support.heard import events, frames, servos_on
+from tests.support.waiting import wait_until
 
 START = leg_payload("start", (90, 45, 120))
 
@@ -91,3 +102,41 @@ def test_a_flood_beside_the_keys_is_told_ten_times_a_second_and_a_command_goes_t
     assert "hexapod/leg/3/cmd" in event.detail
     assert client.start_leg(3, 90, 45, 120).accepted
     assert client.state().commands.rejected - before <= 2 + 10 * (time.monotonic() - begun_s)
+
+
+speaker = gateway_fixture({"wire": {"name": "elkapod-2025"}})
+
+
+def test_the_outbox_knows_whether_anyone_listens() -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    outbox = ZenohOutbox()
+    assert not outbox.anyone_listens(STATE)
+    with closing(open_session(service_config(ZenohSettings(listen=(endpoint,))))) as session:
+        unknown_keys = UnknownKeys(session)  # which hears all of hexapod/, and counts for nobody
+        outbox.open(session)
+        assert not outbox.anyone_listens(STATE)
+        with closing(open_session(client_config(endpoint))) as laptop:
+            for key in (STATE, "hexapod/**"):
+                subscriber = laptop.declare_subscriber(key, RingChannel(1))
+                wait_until(lambda: outbox.anyone_listens(STATE))
+                subscriber.undeclare()
+                wait_until(lambda: not outbox.anyone_listens(STATE))
+        assert unknown_keys.poll() is None
+        outbox.close()
+
+
+def test_what_is_measured_is_published_while_somebody_listens_and_answered(speaker: Gateway) -> None:
+    """And rubbish is left out."""
+    received: SimpleQueue[Telemetry] = SimpleQueue()
+    with speaker.client() as client, speaker.client() as stranger:
+        subscriber = client.on_telemetry(received.put)
+        stranger.publish(TELEMETRY, {"battery": "full"})
+        stranger.state()  # on the same link, behind it
+        while (published := received.get(timeout=30)).battery is None:
+            pass
+        assert (published.tilt_deg, published.feet) == (0.0, (0.0,) * 6)
+        subscriber.undeclare()
+        answered = client.telemetry()
+        assert answered is not None
+        assert answered.time >= published.time
+        assert answered.imu is not None

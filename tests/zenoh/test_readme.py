@@ -14,8 +14,7 @@ from schemas import keys
 from schemas.telemetry import Event, Kind
 from tests.support.command import run_here
 from tests.support.gateway_process import Gateway
-from tests.support.pages import blocks
-from tests.support.remedies import parse_commands
+from tests.support.pages import blocks, parse_commands
 
 pytestmark = pytest.mark.full
 

@@ -33,7 +33,7 @@ from schemas.telemetry import ServoTelemetry, Telemetry
 from tests.support.certs_folder import DAY, NOW, make_folder
 from tests.support.gateway_process import dialling
 from tests.support.machine_tree import PI_4, MachineTree
-from tests.support.remedies import parse_commands, texts
+from tests.support.pages import parse_commands, texts
 
 __all__ = ["make_folder"]  # a fixture
 GATEWAY = Path(certs.__file__).parents[1]

@@ -15,7 +15,7 @@ from gateway.robot import settings as settings_file
 from gateway.robot.power import last_cut
 from gateway.robot.power.last_cut import SupplyCut
 from gateway.robot.spi import outside
-from tests.support.board_bus import BoardBus
+from tests.support.boards import BoardBus
 
 PLAIN = 'spi.framing = "plain"\n'
 ANOTHER = f'{PLAIN}spi.device = "/dev/spidev1.0"\n'

@@ -11,7 +11,7 @@ import pytest
 from gateway.people.terminal import hint, say
 from gateway.words.own_command import CONNECT_VARIABLE, DEFAULT_ENDPOINT, command, reach_by, this_command
 from tests.support.command import run_here
-from tests.support.remedies import texts
+from tests.support.pages import texts
 
 EVIL = "eve\x1b[2J\x1b]0;owned\x07\r\naccepted"
 SHOWN = r"eve\x1b[2J\x1b]0;owned\x07\r\naccepted"

@@ -30,7 +30,7 @@ from schemas import keys
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Kind
 from tests.support.mcap_file import about, checked, read
-from tests.support.measured import MEASURED, ON_ITS_SIDE
+from tests.support.measuring import AT_REST, ON_ITS_SIDE
 from tests.support.ring import parse, put
 from tests.support.robot import LEG_3, WALL_NS, Robot, leg
 from tests.unit.people.test_recorder import recorded
@@ -389,9 +389,9 @@ async def test_an_incidents_file_has_the_settings_of_the_gateway_that_it_happene
 async def test_an_incident_shows_tilt_battery_and_feet_around_it(folder: Path) -> None:
     robot = recorded(folder, wire={"name": "elkapod-2025"})
     measured = robot.conductor.measured
-    measured(MEASURED, robot.now_ns())
+    measured(AT_REST, robot.now_ns())
     await asyncio.sleep(1)
-    measured(MEASURED._replace(voltage_v=6.5), robot.now_ns())  # under load
+    measured(AT_REST._replace(voltage_v=6.5), robot.now_ns())  # under load
     await asyncio.sleep(1)
     measured(ON_ITS_SIDE._replace(feet=(0.0,) * 6), robot.now_ns())
     await asyncio.sleep(0.2)
@@ -399,7 +399,7 @@ async def test_an_incident_shows_tilt_battery_and_feet_around_it(folder: Path) -
         Announce(Kind.FALLEN, "the body tilts by 82°, beyond 45°; all six legs are stopped")
     )
     await asyncio.sleep(1)
-    measured(MEASURED._replace(orientation_wxyz=(0.0, 1.0, 0.0, 0.0)), robot.now_ns())
+    measured(AT_REST._replace(orientation_wxyz=(0.0, 1.0, 0.0, 0.0)), robot.now_ns())
     ((incident,), content) = incidents(folder)
     assert incident.name == "20260921-141320-123-fallen"
     path = exported(folder, incident, content)

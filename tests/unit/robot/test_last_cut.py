@@ -28,8 +28,7 @@ from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.stop_all import stop_before_service, stop_once, stop_servos
 from gateway.robot.spi.uart import Uart
 from schemas.robot import LEGS
-from tests.support.board_bus import BoardBus
-from tests.support.slcan_adapter import Adapter
+from tests.support.boards import Adapter, BoardBus
 
 SETTINGS = PowerSettings("socketcan")
 

@@ -33,7 +33,7 @@ from gateway.robot.spi import Wire
 from gateway.simulation.board import SimulatedBoard
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Kind
-from tests.support.power_link import ALL_SERVOS, CONFIRM_MS, NONE, Link, fed
+from tests.support.power import ALL_SERVOS, CONFIRM_MS, NONE, Link, fed
 
 # ---- on
 

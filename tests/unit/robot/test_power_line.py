@@ -19,9 +19,8 @@ from gateway.robot.power.interface import LineError, open_bus
 from gateway.robot.power.line import PowerLine
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Kind
-from tests.support.board_bus import BoardBus
+from tests.support.boards import Adapter, BoardBus
 from tests.support.robot import Robot
-from tests.support.slcan_adapter import Adapter
 from tests.support.waiting import wait_until
 
 ALL_SERVOS = frozenset(SERVO_IDS)

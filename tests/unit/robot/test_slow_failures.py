@@ -1,7 +1,7 @@
 """A bus whose failures take as long as Linux lets them take, 200 ms each: all servos are off soon, in virtual time.
 
 A transfer that fails does not reach the controller and ends its call. What the wire takes is not counted (1 ms for six
-Stops). The same on the emulated kernel device: hil/test_failing_bus.py.
+Stops). The same on the emulated kernel device: hil/test_faults.py.
 """
 
 import asyncio

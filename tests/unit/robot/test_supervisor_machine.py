@@ -28,7 +28,7 @@ from gateway.wire import ServoWire
 from schemas.calibration import CalibrationCommand, ServoChange
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Kind, Mode
-from tests.support.faulty_controller import FaultyController
+from tests.support.controllers import FaultyController
 from tests.support.history import announced, demand, numbered
 from tests.support.model_check import State, both_ways, pending
 from tests.support.model_check import events as candidates

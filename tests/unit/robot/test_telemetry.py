@@ -19,7 +19,7 @@ from gateway.robot.spi.bus import Bus
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import ConfigReport, Kind, PowerReport, ServoTelemetry, Supply, Telemetry
-from tests.support.measured import MEASURED
+from tests.support.measuring import AT_REST
 from tests.support.metrics_page import described, documented
 from tests.support.published import WALL
 from tests.support.robot import LEG_3, START, Robot, leg, started
@@ -49,7 +49,7 @@ async def test_a_body_without_an_orientation_has_no_tilt(
     orientation_wxyz: tuple[float, float, float, float], tilt_deg: float | None
 ) -> None:
     robot = started(wire=ELKAPOD)
-    robot.conductor.measured(MEASURED._replace(orientation_wxyz=orientation_wxyz), robot.now_ns())
+    robot.conductor.measured(AT_REST._replace(orientation_wxyz=orientation_wxyz), robot.now_ns())
     (answer,) = asked(robot)
     assert json.loads(answer).get("tilt_deg") == tilt_deg
     assert ("tilt_deg" in json.loads(answer)) is (tilt_deg is not None)
@@ -63,7 +63,7 @@ async def test_where_nothing_was_measured_nothing_is_published_or_answered() -> 
         assert asked(robot) == []
         assert robot.state().battery is None
     robot.conductor.close()
-    robot.conductor.measured(MEASURED, robot.now_ns())
+    robot.conductor.measured(AT_REST, robot.now_ns())
     assert published(robot) == [], "an answer that comes after the end changes nothing"
 
 
@@ -78,7 +78,7 @@ async def test_limits_hold_at_their_edges_for_what_is_measured(
     half = radians(tilt_deg or 0) / 2
     orientation = (0.0,) * 4 if tilt_deg is None else (cos(half), sin(half), 0.0, 0.0)
     for _ in range(2):
-        robot.conductor.measured(MEASURED._replace(voltage_v=volts, orientation_wxyz=orientation), robot.now_ns())
+        robot.conductor.measured(AT_REST._replace(voltage_v=volts, orientation_wxyz=orientation), robot.now_ns())
         await asyncio.sleep(0.2)
     assert [event.kind for event in robot.events() if event.kind in {Kind.BATTERY_LOW, Kind.FALLEN}] == kinds
 
@@ -135,11 +135,11 @@ async def test_the_page_of_a_robot_that_measures_is_the_list_in_the_docs(monkeyp
     await asyncio.sleep(1)
     monkeypatch.setattr(Bus, "controller_alive", False)  # its wire has missed signs of life
     monkeypatch.setattr(Bus, "answered_ns", robot.now_ns())
-    robot.conductor.measured(MEASURED, robot.now_ns())
+    robot.conductor.measured(AT_REST, robot.now_ns())
     await asyncio.sleep(0.5)
     assert described(page(robot)) - described(page(other)) == documented("that measures")
     found = samples(robot)
-    assert [found[f"hexapod_foot_force {leg}"] for leg in LEGS] == list(MEASURED.feet)
+    assert [found[f"hexapod_foot_force {leg}"] for leg in LEGS] == list(AT_REST.feet)
     assert found["hexapod_battery_volts"] == 7.5
     assert found["hexapod_battery_percent"] == 80
     assert found["hexapod_temperature_celsius"] == 31.5
@@ -198,9 +198,9 @@ def test_a_host_is_compared_whole_and_no_page_may_ask_but_ours(host: str | None,
 async def test_the_black_box_has_what_was_measured_ten_times_a_second_at_most(folder: Path) -> None:
     robot = recorded(folder, wire=ELKAPOD)
     for number in range(100):  # 2 s
-        robot.conductor.measured(MEASURED._replace(temperature_c=float(number)), robot.now_ns())
+        robot.conductor.measured(AT_REST._replace(temperature_c=float(number)), robot.now_ns())
         await asyncio.sleep(0.02)
     found = contents(folder, Measured)
-    assert found[0] == MEASURED._replace(temperature_c=0.0), "every value as it came"
+    assert found[0] == AT_REST._replace(temperature_c=0.0), "every value as it came"
     assert 16 <= len(found) <= 20
     assert [each.temperature_c for each in found] == sorted({each.temperature_c for each in found})

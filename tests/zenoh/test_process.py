@@ -1,12 +1,17 @@
-"""The process's own priority: what it takes, what it leaves to its threads, and that it does without."""
+"""The process: its priority, and a signal that arrives inside a Zenoh callback."""
 
+import logging
 import os
+import signal
 import subprocess
 import sys
+import threading
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import zenoh
 
 from gateway.host.realtime import LOOP_PRIORITY, PAGE_PRIORITY, RECEIVER_PRIORITY, TIMER_SLACK_NS, ZENOH_NICE
 from gateway.robot.zenoh_io.session import RUNTIME
@@ -77,3 +82,37 @@ def test_each_session_has_a_thread_of_zenohs_and_only_the_loop_has_priority(
             assert found[RECEIVER_PRIORITY] == 9, of
             assert found[PAGE_PRIORITY] >= 2, "those that write stdout and stderr among them"
             assert found[0] >= 3
+
+
+WAIT_S = 20.0
+
+
+def ask_and_wait(session: zenoh.Session, ended: Callable[..., None]) -> None:
+    session.get("nobody/here", zenoh.handlers.Callback(ended, ended, indirect=False))
+    threading.Event().wait(WAIT_S)
+    pytest.fail("the signal is lost")
+
+
+@pytest.mark.parametrize(
+    ("number", "raised"), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, SystemExit)], ids=["ctrl-c", "sigterm"]
+)
+def test_it_ends_what_waits(
+    number: signal.Signals, raised: type[BaseException], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The end of a query that nobody answers is delivered to the thread that asks."""
+    monkeypatch.setattr(logging.getLogger("zenoh.handlers"), "filters", [])
+    config = zenoh.Config()
+    config.insert_json5("scouting/multicast/enabled", "false")
+    threads: list[threading.Thread] = []
+
+    def ended(_reply: zenoh.Reply | None = None) -> None:
+        threads.append(threading.current_thread())
+        os.kill(os.getpid(), number)
+
+    before = signal.signal(number, (lambda *_: sys.exit()) if raised is SystemExit else signal.default_int_handler)
+    try:
+        with Gateway(tmp_path, {}) as gateway, gateway.client(), zenoh.open(config) as alone, pytest.raises(raised):
+            ask_and_wait(alone, ended)
+    finally:
+        signal.signal(number, before)
+    assert threads == [threading.main_thread()]
