@@ -111,7 +111,7 @@ JUDGES: Final = {
     "gateway/people/walking/ride.py": _people("ride walk_command client_times"),
     **{
         f"gateway/people/walking/{room}.py": _WALKING
-        for room in ["balance", "engine", "gaits", "inverse", "motion", "planning", "robot", "swing", "ways"]
+        for room in ["balance", "engine", "feet", "gaits", "inverse", "motion", "planning", "robot", "transitions"]
     },
 }
 """What keeps the robot safe, in the order of the way back: what stays longest comes first."""

@@ -104,7 +104,8 @@ def _flags(node: Any) -> list[re.Match[str]]:
 
 
 def _is_number(node: Any, *, large: bool) -> bool:
-    return isinstance(node, Number) and (ast.literal_eval(node.value) >= SCALED_FROM) is large
+    value = ast.literal_eval(node.value) if isinstance(node, Number) else None
+    return isinstance(value, int | float) and (value >= SCALED_FROM) is large
 
 
 def _has_effect(statement: NodeOrLeaf) -> bool:
