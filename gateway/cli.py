@@ -283,7 +283,7 @@ def console(
         typer.Option(
             metavar="[NAME=]URL",
             envvar="HEXAPOD_CONSOLE__CAMERA",
-            help="A camera's MJPEG stream, for programs. The page does not show it yet. Repeatable.",
+            help="A camera's MJPEG stream, which the page shows. Repeatable.",
         ),
     ] = None,
     camera_stale_ms: Annotated[

@@ -75,6 +75,7 @@ WebSocket.prototype.send = function (text) {
 """Keeps the page's wishes for the walk, or keeps them back."""
 PUSHES: Final = 100
 """In so many it is seconds that pass, where each is rejected at once: until the newest state is fresh again."""
+LET_GO: Final = """!document.querySelector('.stick[data-held="yes"]')"""
 WALKS: Final = 'document.getElementById("walk-known").textContent.includes("It walks")'
 
 CHANGES: Final = """
@@ -286,4 +287,4 @@ def again(page: Opened, act: Callable[[], None], came: str, ended: str) -> None:
 
 def walks(page: Opened, push: Callable[[Opened], None]) -> None:
     """Push until it walks."""
-    again(page, lambda: push(page), WALKS, """!document.querySelector('.stick[data-held="yes"]')""")
+    again(page, lambda: push(page), WALKS, LET_GO)

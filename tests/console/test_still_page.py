@@ -1,6 +1,8 @@
 """The driving page stands still: whatever appears or is said, nothing moves under a thumb, and no line is cut off."""
 
 import datetime as dt
+import itertools
+from collections.abc import Sequence
 from typing import Any, Final
 
 import pytest
@@ -270,17 +272,27 @@ OVERLAPS: Final = """() => {
 """Controls that are over another or cut, badges that nobody can read, and whether STOP ALL and Reset can be tapped."""
 
 
-@pytest.mark.parametrize("size", [*SMALL, *HELD, *DESKS], ids=lambda size: f"{size[0]}x{size[1]}")
+SIZES: Final = pytest.mark.parametrize("size", [*SMALL, *HELD, *DESKS], ids=lambda size: f"{size[0]}x{size[1]}")
+
+
+@SIZES
 def test_no_control_is_over_another_or_cut_and_stop_all_can_be_tapped(size: tuple[int, int], visitor: Visitor) -> None:
+    overlap_nowhere(size, visitor)
+
+
+def overlap_nowhere(size: tuple[int, int], visitor: Visitor, views: Sequence[str] = ("no",)) -> None:
+    """Look at each situation, and at what *More* shows. `views`: whether the camera's picture is alone."""
     width, height = size
     held = size not in DESKS
     page = visitor.open(script=HEAR, viewport={"width": width, "height": height}, has_touch=held, is_mobile=held)
     found = list[str]()
     for name, shown in situations("root").items():
         page.page.evaluate(SHOW, shown)
-        for more in ("no", "yes") if page["more"].is_visible() else ("no",):
+        mores = ("no", "yes") if page["more"].is_visible() else ("no",)
+        for more, alone in itertools.product(mores, views):
             page.page.evaluate("(more) => { document.body.dataset.more = more; }", more)
-            found += [f"{name}, more {more}: {fault}" for fault in page.page.evaluate(OVERLAPS)]
+            page["picture"].evaluate("(each, alone) => { each.dataset.alone = alone; }", alone)
+            found += [f"{name}, more {more}, alone {alone}: {fault}" for fault in page.page.evaluate(OVERLAPS)]
         page.page.evaluate("document.body.dataset.more = 'no'")
     assert not found, "\n".join(found[:20])
 

@@ -16,7 +16,7 @@ from tests.support.gateway_process import Gateway
 from tests.support.waiting import Closing, meanwhile
 from tests.zenoh.test_console_walk import STEP_S, Pad, acquire, gets, is_free, posture, stands, walk, walks
 
-OLD: Final = "the picture is "
+OLD: Final = "the picture was "
 
 gateway = gateway_fixture(patient())
 session = session_fixture()
@@ -68,9 +68,9 @@ def test_a_picture_that_stands_still_moves_nothing_and_a_new_press_by_a_fresh_on
         pad = Pad(page)
         pad.hold(forward_m_s=0.06)
         pad.send()
-        assert "there is no picture yet" in walk(page, lambda message: message["press"] == pad.press)["detail"]
+        assert "no picture was shown yet" in walk(page, lambda message: message["press"] == pad.press)["detail"]
         answer = page.ask("hexapod/leg/3/cmd", {"servos": [{"op": "start", "angle_deg": 90}] * 3})
-        assert "there is no picture yet" in answer["ack"]["detail"]
+        assert "no picture was shown yet" in answer["ack"]["detail"]
         for _ in range(2):
             shown.next()
         with meanwhile(pad.send, STEP_S):

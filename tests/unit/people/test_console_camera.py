@@ -85,16 +85,16 @@ def test_a_page_is_barred_by_the_picture_that_it_shows() -> None:
     page = PageCamera(500)
     assert page.bars(0) == ""
     page.show("front")
-    assert "there is no picture yet" in page.bars(0)
+    assert "no picture was shown yet" in page.bars(0)
     page.confirm("rear", 0)
-    assert "there is no picture yet" in page.bars(0)
+    assert "no picture was shown yet" in page.bars(0)
     page.confirm("front", 0)
     page.show("front")
     assert page.bars(499 * MS) == ""
-    assert page.bars(500 * MS) == "the picture is 0.5 s old"
-    assert page.bars(720 * MS) == "the picture is 0.7 s old"
+    assert page.bars(500 * MS) == "the picture was 0.5 s old"
+    assert page.bars(720 * MS) == "the picture was 0.7 s old"
     page.show("rear")
-    assert "there is no picture yet" in page.bars(0)
+    assert "no picture was shown yet" in page.bars(0)
     page.show(None)
     assert page.bars(720 * MS) == ""
 

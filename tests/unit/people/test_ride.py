@@ -522,7 +522,7 @@ TestAnyOrder = AnyOrder.TestCase
 
 def test_a_barred_wish_stands_and_only_a_new_press_goes_on_while_stand_and_sit_do_not_depend_on_it() -> None:
     ridden = standing(PAGE)
-    ride, why = ridden.ride, "the picture is 0.7 s old"
+    ride, why = ridden.ride, "the picture was 0.7 s old"
 
     def holds(seconds: float, wish: Wish) -> None:
         for _ in range(round(seconds / TICK_S)):

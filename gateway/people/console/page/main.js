@@ -82,6 +82,7 @@ const lease = new Lease(link, model, {
 const calibrate = new Calibrate(link, model, { mine: () => lease.mine, holds: () => hold.active || walk.active, say });
 const walk = new Walk(link, model, {
   mine: () => lease.mine,
+  old: (nowMs) => camera?.old(nowMs) ?? false,
   busy: () => (hold.active ? "legs are held; let go first" : calibrate.active ? "a servo is under test; stop it first" : ""),
   say,
 });
@@ -91,6 +92,8 @@ const numbers = new Numbers(model, select);
 const upright = new Upright(link, model, say);
 const picture = new Picture(model, select, say, upright);
 const measured = new Measured(model);
+/** @type {import("./camera.js").Camera | null} */
+let camera = null;
 const plots = new Plots(model);
 const device = new Device(link, say);
 const quality = new Quality();
@@ -139,6 +142,7 @@ function received(message) {
       walk.offer(message.gaits);
       walk.goOn(message.last_id);
       model.forgetEvents(); // the newest ones come again
+      if (message.cameras?.length) void showCamera();
       break;
     case "state":
       if (model.takeState(message.state, message.age_ms, performance.now())) lease.restarted();
@@ -191,6 +195,13 @@ function received(message) {
   }
 }
 
+/** Load what shows cameras; only where there is one. */
+async function showCamera() {
+  const { Camera } = await import("./camera.js");
+  camera ??= new Camera(link, model, say);
+  camera.begin();
+}
+
 function refresh() {
   const nowMs = performance.now();
   model.look(nowMs, Date.now());
@@ -211,6 +222,7 @@ function refresh() {
   plots.refresh(nowMs);
   measured.refresh(nowMs, walk.report?.ground ?? "");
   picture.refresh(nowMs, walk.going);
+  camera?.refresh(nowMs);
 }
 
 setInterval(refresh, REFRESH_MS);

@@ -108,6 +108,8 @@ export class Model {
     /** When this page last looked at its clocks: its own, which stands still while its machine sleeps, and the wall's. */
     this.lookedMs = performance.now();
     this.wallMs = Date.now();
+    /** For how long in all its machine slept. */
+    this.sleptMs = 0;
     this.connected = false;
     /** Why it is not. @type {import("./words.js").End} */
     this.end = { cause: "connecting" };
@@ -181,7 +183,7 @@ export class Model {
   /** Look at the clocks: ten times a second. @param {number} nowMs @param {number} wallMs */
   look(nowMs, wallMs) {
     const sleptMs = wallMs - this.wallMs - (nowMs - this.lookedMs);
-    if (sleptMs > FROZEN_MS) this.stateAtMs -= sleptMs;
+    if (sleptMs > FROZEN_MS) [this.stateAtMs, this.sleptMs] = [this.stateAtMs - sleptMs, this.sleptMs + sleptMs];
     [this.lookedMs, this.wallMs] = [nowMs, wallMs];
   }
 

@@ -28,8 +28,8 @@ const BEGINS_MS = 6000;
 export class Walk {
   /**
    * @param {import("./link.js").Link} link @param {import("./model.js").Model} model
-   * @param {{mine: () => boolean, busy: () => string, say: import("./words.js").Say}} callbacks
-   *   `busy`: what else drives the legs, in words, or ""
+   * @param {{mine: () => boolean, old: (nowMs: number) => boolean, busy: () => string, say: import("./words.js").Say}} callbacks
+   *   `busy`: what else drives the legs, in words, or ""; `old`: whether the camera's picture is too old to drive by
    */
   constructor(link, model, callbacks) {
     this.link = link;
@@ -139,7 +139,6 @@ export class Walk {
 
   /** The connection to the console ended, or STOP ALL was pressed: the walk is over here. @param {string} why */
   end(why) {
-    if (!this.active) return;
     this.drop(why);
     clearInterval(this.timer);
     this.timer = undefined;
@@ -185,7 +184,7 @@ export class Walk {
     const may = barred(this, nowMs) === "";
     show(byId("walk-controls"), !this.model.looks);
     for (const id of ["stand", "sit", "lower", "higher"]) enable(byId(id, HTMLButtonElement), may);
-    for (const id of ["pad", "turn"]) attribute(byId(id), "aria-disabled", may ? "false" : "true");
+    for (const id of ["pad", "turn"]) attribute(byId(id), "aria-disabled", may && !this.callbacks.old(nowMs) ? "false" : "true");
     for (const input of [...this.#choices("gait"), ...this.#choices("speed")]) enable(input, may);
     attribute(byId("pad"), "data-held", x || y ? "yes" : "no");
     attribute(byId("turn"), "data-held", turn ? "yes" : "no");
@@ -198,8 +197,9 @@ export class Walk {
   /** @param {number} nowMs */
   #known(nowMs) {
     const { report } = this;
-    if (this.active && !this.model.live(nowMs)) return "What it does is not known.";
-    if (!report) return this.active ? "It begins …" : "This page does not walk the robot.";
+    if (!report && !this.active) return "This page does not walk the robot.";
+    if (!this.model.live(nowMs)) return "What it does is not known.";
+    if (!report) return "It begins …";
     const known = `${worded(this.model.who(report.now))}, ${report.gait}`;
     if (report.posture !== "walking") return known;
     const [forward, left, turn] = report.scaled;

@@ -31,6 +31,6 @@ class PageCamera:
         if self._name is None or not self._stale_ns:
             return ""
         if self._taken_ns is None:
-            return "there is no picture yet; wait for it, or hide the camera"
+            return "no picture was shown yet; wait for one, or hide the camera"
         age_ns = now_ns - self._taken_ns
-        return "" if age_ns < self._stale_ns else f"the picture is {age_ns / 1e9:.1f} s old"
+        return "" if age_ns < self._stale_ns else f"the picture was {age_ns / 1e9:.1f} s old"

@@ -186,7 +186,7 @@ class Camera:
                 await asyncio.sleep(AGAIN_S)
 
     def _explain(self, why: str) -> None:
-        self.trouble = f"The camera {self.name} {why}. The console tries again."
+        self.trouble = f"The camera {self.name} {why}."
 
     async def _fetch(self, session: aiohttp.ClientSession) -> None:
         """Raises CameraError, TimeoutError, aiohttp.ClientError, OSError, ValueError, also if the stream has ended."""
