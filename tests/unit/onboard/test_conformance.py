@@ -92,6 +92,7 @@ def judged(
 ) -> Callable[..., tuple[int, str]]:
     def run(kind: type[ServoWire], *, unplug: bool = False) -> tuple[int, str]:
         monkeypatch.setattr(settings_table, "load_plugin", lambda _name, options: kind(options))
+        monkeypatch.setattr(conformance, "_LATE_MS", 20.0 if kind is Slow else 10_000.0)
         (tmp_path / "gateway.toml").write_text('wire.name = "board"')
         code = conformance.conformance(tmp_path / "gateway.toml", agreed=True, unplug=unplug)
         return code, capsys.readouterr().out
