@@ -1,4 +1,4 @@
-"""What is rejected and may contain a Stop stops the servos that it names; all of its key where that cannot be told."""
+"""What is rejected for its form and may contain a Stop stops all servos of its key; else, those that it names."""
 
 import asyncio
 import gzip
@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.model.frames import Op
+from gateway.robot.core.intake import servos_of
 from gateway.robot.core.losses import stops_in
 from gateway.robot.core.message import Received, Verb
 from schemas import keys
@@ -127,9 +128,7 @@ async def test_a_stop_is_a_stop_in_whatever_form(key: str, form: Form, verb: Ver
         ack = robot.ask(key, payload, **more)
         assert (ack.accepted, ack.reason, ack.stopped, ack.written) == (False, form.reason, True, None)
         assert ack.detail
-    expected = {32} if "servo" in key else {31, 32, 33}
-    assert stopped(robot) >= expected
-    assert stopped(robot) in (expected, set(SERVO_IDS) if key == keys.LEGS_COMMAND else expected)
+    assert stopped(robot) == servos_of(COMMAND_KEYS[key])
     (rejection,) = robot.events(Kind.COMMAND_REJECTED)
     assert (rejection.reason, rejection.key, rejection.source, rejection.legs) == (form.reason, key, source, ())
     assert robot.state().commands.rejected == 1
@@ -160,41 +159,30 @@ async def test_what_names_no_stop_stops_nothing(payload: object, more: dict[str,
 
 
 ODD = {"op": "Stop"}
-NAMED: list[tuple[str, object, str]] = [
-    # the key, the payload, and the servos that it names
-    (LEG_3, {"servos": [ODD, SET, SET]}, "31"),
-    (LEG_3, {"servos": [SET, ODD, STOP]}, "32 33"),
-    (LEG_3, {"servos": [SET, SET, SET], "op": "stop"}, "31 32 33"),
-    (LEG_3, {"servos": [STOP, SET, SET, SET]}, "31 32 33"),
-    (LEG_3, {"servos": {"1": STOP}}, "31 32 33"),
-    (LEG_3, {"servos": [SET, SET, {"op": "set", "angle_deg": 9, "x": ["stop"]}]}, "33"),
-    (LEG_3, {"servos": [SET, SET, {"op": "set", "angle_deg": 999}], "source": "stop"}, ""),
-    (LEG_3, {"servos": [SET, SET, {"op": "set", "angle_deg": 999}], "source": {"op": "stop"}}, "31 32 33"),
-    (LEG_3, {"servos": [{"op": "\u017ftop"}, SET, SET]}, "31"),  # its capital letters are STOP
-    (LEG_3, b'{"servos": [{"op": "stop", "op": "set"}, {}, {}]}', "31 32 33"),
-    (LEG_3, b'{"servos": [{"op": "st\\u006fp"}, {"op": "set"}, {}]}', "31"),
-    (LEG_3, b'{"servos": [{"op": "st\\x6fp"}, {"op": "set"}, {}]}', "31 32 33"),
-    (LEG_3, _text({"servos": [ODD, SET, SET]}).ljust(MAX_PAYLOAD_BYTES), "31"),
-    (keys.LEGS_COMMAND, {"legs": {"3": {"servos": [ODD] * 3}, "5": {"servos": [SET, ODD, SET]}}}, "31 32 33 52"),
-    (
-        keys.LEGS_COMMAND,
-        {"legs": {number: ODD if number == "3" else {"servos": [SET] * 3} for number in "123456"}},
-        "31 32 33",
-    ),
-    (keys.LEGS_COMMAND, {"legs": {"3": ODD, "5": {"servos": [SET] * 3}}}, "31 32 33"),
-    (keys.LEGS_COMMAND, {"legs": {"7": ODD}}, "all"),
-    (keys.LEGS_COMMAND, {"servos": [STOP] * 3}, "all"),
-    (keys.servo_command(32), {"op": "set", "angle_deg": 999, "source": "stop"}, ""),
-    (keys.servo_command(32), {"op": "set", "angle_deg": 999, "stop": 1}, "32"),
-    (keys.RESET, {"op": "stop"}, ""),
-    ("hexapod/leg/9/cmd", {"op": "stop"}, ""),
+MENTIONED: list[tuple[str, object, bool]] = [
+    (LEG_3, {"servos": [ODD, SET, SET]}, True),
+    (LEG_3, {"servos": [STOP, SET, SET, SET]}, True),
+    (LEG_3, {"servos": [SET, SET, {"op": "set", "angle_deg": 9, "x": ["stop"]}]}, True),
+    (LEG_3, {"servos": [SET, SET, {"op": "set", "angle_deg": 999}], "source": "stop"}, False),
+    (LEG_3, {"servos": [SET, SET, {"op": "set", "angle_deg": 999}], "source": {"op": "stop"}}, True),
+    (LEG_3, {"servos": [{"op": "\u017ftop"}, SET, SET]}, True),  # its capital letters are STOP
+    (LEG_3, b'{"servos": [{"op": "stop", "op": "set"}, {}, {}]}', True),
+    (LEG_3, b'{"servos": [{"op": "st\\u006fp"}, {"op": "set"}, {}]}', True),
+    (LEG_3, b'{"servos": [{"op": "st\\x6fp"}, {"op": "set"}, {}]}', True),
+    (LEG_3, _text({"servos": [ODD, SET, SET]}).ljust(MAX_PAYLOAD_BYTES), True),
+    (keys.LEGS_COMMAND, {"legs": {"3": ODD, "5": {"servos": [SET] * 3}}}, True),
+    (keys.servo_command(32), {"op": "set", "angle_deg": 999, "source": "stop"}, False),
+    (keys.servo_command(32), {"op": "set", "angle_deg": 999, "stop": 1}, True),
+    (keys.RESET, {"op": "stop"}, False),
+    ("hexapod/leg/9/cmd", {"op": "stop"}, False),
 ]
 
 
-@pytest.mark.parametrize(("key", "payload", "expected"), NAMED, ids=repr)
-def test_which_servos_a_rejected_payload_names(key: str, payload: object, expected: str) -> None:
-    everything = " ".join(map(str, SERVO_IDS))
-    assert named(payload, key) == {int(word) for word in expected.replace("all", everything).split()}
+@pytest.mark.parametrize(("key", "payload", "stops"), MENTIONED, ids=repr)
+def test_a_rejected_payload_that_mentions_a_stop_stops_all_servos_of_its_key(
+    key: str, payload: object, stops: bool
+) -> None:
+    assert named(payload, key) == (servos_of(COMMAND_KEYS[key]) if stops else set())
 
 
 json_values = st.recursive(
@@ -208,8 +196,9 @@ json_values = st.recursive(
 
 
 @given(json_values, st.sampled_from([keys.LEGS_COMMAND, LEG_3, keys.servo_command(32)]))
-def test_a_payload_that_mentions_a_stop_names_a_servo_and_no_other_does(payload: object, key: str) -> None:
-    assert bool(named(payload, key)) == ("stop" in json.dumps(payload).lower())
+def test_a_payload_that_mentions_a_stop_anywhere_stops_its_key_and_no_other_does(payload: object, key: str) -> None:
+    stops = "stop" in json.dumps(payload).lower()
+    assert named(payload, key) == (servos_of(COMMAND_KEYS[key]) if stops else set())
 
 
 @given(st.binary(max_size=300), st.sampled_from(sorted(COMMAND_KEYS)))
