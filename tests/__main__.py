@@ -90,7 +90,7 @@ class Stages:
         self._until_s = time.monotonic() + most_s
 
     def run(self, name: str, *arguments: str) -> bool:
-        """Whether all its tests have passed; ends this program where they could not be run to their end."""
+        """Return whether all its tests have passed; ends this program where they could not be run to their end."""
         begun_s = time.monotonic()
         process = subprocess.Popen([*_PYTEST, *arguments], process_group=0)
         code = self.ended(process, f"stage {name}")
@@ -110,7 +110,7 @@ class Stages:
             sys.exit(f"{name} had no time left")
 
     def twice(self, green: list[bool]) -> bool:
-        """Whether these stages were green, or what failed in them is so alone."""
+        """Return whether these stages were green, or what failed in them is so alone."""
         if all(green):
             return True
         failed = list(json.loads(_FAILED.read_text()))
@@ -134,7 +134,7 @@ def _stages(stages: Stages, workers: int, only: str) -> bool:
 
 
 def _shuffled(stages: Stages, workers: int) -> bool:
-    """Whether all tests pass in an order that no run had before; none has a second try."""
+    """Return whether all tests pass in an order that no run had before; none has a second try."""
     seed = random.randrange(10**6)  # noqa: S311
     return stages.run(
         f"--shuffle {seed}", "--shuffle", str(seed), "-n", str(workers), "-m", f"{TOGETHER} and not nightly"
@@ -142,7 +142,7 @@ def _shuffled(stages: Stages, workers: int) -> bool:
 
 
 def _files() -> bool:
-    """Whether each file of tests passes by itself."""
+    """Return whether each file of tests passes by itself."""
 
     def passes(path: Path) -> bool:
         command = [*_PYTEST, "-q", "-p", "no:cacheprovider", "-m", "not alone and not nightly", str(path)]
@@ -161,7 +161,7 @@ def _files() -> bool:
 
 @contextmanager
 def _behind(command: list[str], *, idle: bool = False) -> Iterator[subprocess.Popen[bytes]]:
-    """A program that runs meanwhile and is waited for at the end; `idle`: only where a processor is idle.
+    """Yield a program that runs meanwhile and is waited for at the end; `idle`: only where a processor is idle.
 
     What it prints comes behind the others' output.
     """

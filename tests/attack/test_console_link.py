@@ -15,7 +15,7 @@ from tests.support.gateway_process import COMMAND, free_port
 
 @pytest.fixture
 def opened(tmp_path: Path) -> Iterator[Console]:
-    """With a browser that prints its arguments, and no gateway."""
+    """Yield a console with a browser that prints its arguments, and no gateway."""
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     browser = {"BROWSER": "echo opened %s"}
     with Console(tmp_path, "--connect", endpoint, "--open", env=browser) as console:

@@ -72,7 +72,7 @@ KINDS: Final = {
 
 
 async def connect(kind: Kind, port: int, context: ssl.SSLContext, made: list[int]) -> None:
-    """One connection of this kind; `made` gets one more."""
+    """Make one connection of this kind, and append it to `made`."""
     reader, writer = await asyncio.open_connection(HOST, port, ssl=context if kind.shakes_hands else None)
     made[0] += 1
     answer = asyncio.create_task(reader.read())
@@ -120,7 +120,7 @@ class Stand(NamedTuple):
     page: Page
 
     def press(self, times: int = PRESSES) -> list[float]:
-        """How long each took until the gateway had confirmed it, in ms."""
+        """Return how long each took until the gateway had confirmed it, in ms."""
         took_ms = []
         for _ in range(times):
             self.page.send(type="alive", now_ms=self.page.now_ms())

@@ -27,7 +27,7 @@ REST_MS = 5_000
 
 @pytest.fixture(autouse=True)
 def _quiet() -> Iterator[None]:
-    """A gateway says of each stop that it stopped, thousands of times here."""
+    """Silence the gateway's log: it reports each stop, thousands of times here."""
     logging.disable(logging.CRITICAL)
     yield
     logging.disable(logging.NOTSET)

@@ -182,7 +182,7 @@ def test_silent_connections_keep_no_scrape_out_and_no_stop_waiting(tmp_path: Pat
 
 
 def python_threads(gateway: Gateway) -> int:
-    """How many threads are Python's: those of Zenoh have names of their own, and more come on a busy machine."""
+    """Return how many threads are Python's: those of Zenoh have names of their own, and more come on a busy machine."""
     tasks = Path(f"/proc/{gateway.child.pid}/task")
     names = []
     for task in tasks.iterdir():
@@ -232,7 +232,7 @@ class Stuck(Closing):
             os.close(descriptor)
 
     def fill(self) -> None:
-        """To the last byte; a terminal passes some on by and by, and has room again."""
+        """Fill it to the last byte; a terminal passes some on by and by, and has room again."""
         while select.select([], [self._more], [], 0.05)[1]:
             for size in (4096, 1):
                 with suppress(BlockingIOError):

@@ -40,7 +40,7 @@ def link(gateway: Gateway) -> Iterator[CutLink]:
 
 @pytest.fixture
 def laptop(link: CutLink, bystander: Client) -> Iterator[Client]:
-    """Behind a link that can be cut; the gateway knows it."""
+    """Yield a laptop behind a link that can be cut; the gateway knows it."""
     with Client(link.endpoint, source="laptop", timeout_s=5) as client:
         assert client.start_leg(1, 90, 45, 120).accepted
         assert bystander.stop().accepted
@@ -48,12 +48,12 @@ def laptop(link: CutLink, bystander: Client) -> Iterator[Client]:
 
 
 def pass_time(seconds: float) -> None:
-    """What is attacked here is time itself."""
+    """Wait: what is attacked here is time itself."""
     threading.Event().wait(seconds)
 
 
 def put(client: Client, key: str, payload: dict[str, Any]) -> None:
-    """As any program does: without `source` and `sent_ms`."""
+    """Put as any program does: without `source` and `sent_ms`."""
     client.session.put(
         key, json.dumps(payload), encoding="application/json", congestion_control=zenoh.CongestionControl.BLOCK
     )

@@ -37,7 +37,7 @@ gateway = gateway_fixture(SETTINGS, scope="function")
 
 @contextmanager
 def asking(gateway: Gateway, key: str, question: dict[str, str]) -> Iterator[None]:
-    """Three programs ask this, some ten thousand times a second each."""
+    """Let three programs ask this, some ten thousand times a second each."""
     with ExitStack() as stack:
         for _ in range(ASKERS):
             stack.enter_context(flooding(gateway.endpoint, key, json.dumps(question), "--ask"))
@@ -45,7 +45,7 @@ def asking(gateway: Gateway, key: str, question: dict[str, str]) -> Iterator[Non
 
 
 def unanswered(ask: Callable[[], object]) -> int:
-    """Of so many questions."""
+    """Return how many questions had no answer."""
     count = 0
     for _ in range(QUESTIONS):
         try:

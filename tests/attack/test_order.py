@@ -45,7 +45,7 @@ def send(client: Client, way: Way, payloads: dict[str, Any]) -> None:
 
 
 def overtaken(client: Client, pairs: list[tuple[Way, Way]], tries: int) -> Counter[tuple[Way, Way]]:
-    """By pair, how often servo 11 ran although its Stop was sent after its Start."""
+    """Return by pair how often servo 11 ran although its Stop was sent after its Start."""
     found: Counter[tuple[Way, Way]] = Counter()
     chance = random.Random(1)  # noqa: S311
     for pair in itertools.islice(itertools.cycle(pairs), tries):

@@ -21,7 +21,7 @@ gateway = gateway_fixture(PATIENT)
 
 @pytest.fixture
 def anna(gateway: Gateway) -> Iterator[Client]:
-    """A person, at the gateway itself."""
+    """Yield a person, at the gateway itself."""
     with gateway.client(source="anna") as client:
         client.reset()
         yield client

@@ -23,7 +23,7 @@ TIMES = 20
 
 
 def router_at(endpoint: str) -> zenoh.Session:
-    """What a gateway dials: a program that listens there, in this process."""
+    """Return what a gateway dials: a program that listens there, in this process."""
     config = zenoh.Config()
     config.insert_json5("mode", '"router"')
     config.insert_json5("listen/endpoints", json.dumps([endpoint]))
@@ -33,7 +33,7 @@ def router_at(endpoint: str) -> zenoh.Session:
 
 @contextmanager
 def answering(endpoint: str, text: str, *wanted: str) -> Iterator[None]:
-    """A stranger's session that answers these keys with `text`."""
+    """Yield a stranger's session that answers these keys with `text`."""
     asked = threading.Event()
 
     def on_query(query: zenoh.Query) -> None:

@@ -214,12 +214,12 @@ class RclpyRunner:
 
 
 def _leg(op: str, cdeg: int) -> dict[str, Any]:
-    """A leg's setpoint that carries a number in joint 1's angle."""
+    """Return a leg's setpoint that carries a number in joint 1's angle."""
     return {"servos": [{"op": op, "angle_deg": each} for each in (cdeg / 100, 90, 90)]}
 
 
 def duel(folder: Path, *, short: bool, release: Path | None) -> list[Row]:
-    """All streams, each with all runners at once. Returns one row for each figure of each stream."""
+    """Run all streams, each with all runners at once. Return one row for each figure of each stream."""
     if shutil.which("cc") is None:
         say("no C compiler: the device that answers at once cannot be built, so setpoints are not measured")
         return []
@@ -257,7 +257,7 @@ def _rclpy(stream: Stream, folder: Path, stack: ExitStack) -> RclpyRunner:
 
 
 def _idle(naive: Runner, ours: Runner) -> list[Row]:
-    """Nobody commands anything, and the watchdog has stopped the legs."""
+    """Measure while nobody commands anything, and the watchdog has stopped the legs."""
     say(f"idle for {IDLE_S:g} s")
     time.sleep(TIMEOUT_MS / 1000)
     begun_ns, begun = time.monotonic_ns(), [cpu_ns(runner.pid) for runner in (ours, naive)]

@@ -16,7 +16,7 @@ def program(name: str, *arguments: str, prefix: Sequence[str] = ()) -> Child:
 
 @contextmanager
 def publishing(endpoint: str, *options: str) -> Iterator[Child]:
-    """A publisher that has begun, and goes on to the end."""
+    """Yield a publisher that has begun, and goes on to the end."""
     with program("publisher", endpoint, *options) as publisher:
         publisher.wait_for_output("ready")
         publisher.tell(str(1e6))

@@ -22,7 +22,7 @@ from schemas.keys import leg_command
 
 
 def payload(number: int) -> str:
-    """A leg's command with another angle each time. A start, since that is taken whatever came before."""
+    """Return a leg's command with another angle each time. A start, since that is taken whatever came before."""
     servo = f'{{"op":"start","angle_deg":{number % 90 + 45}}}'
     return f'{{"servos":[{servo},{servo},{servo}]}}'
 
@@ -41,7 +41,7 @@ def publish(publishers: "itertools.cycle[zenoh.Publisher]", pause_s: float, dura
 
 
 def flood(session: zenoh.Session, key: str, payload: str, *, ask: bool) -> None:
-    """As fast as it can, for ever. It prints `flooding` once it is fast."""
+    """Send as fast as it can, for ever. Print `flooding` once it is fast."""
     publisher = session.declare_publisher(key, encoding="application/json")
     querier = session.declare_querier(key, timeout=0.05, congestion_control=zenoh.CongestionControl.DROP)
     for count in itertools.count():

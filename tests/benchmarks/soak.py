@@ -71,7 +71,7 @@ def one_minute(pid: int, client: Client, duration_s: float) -> Minute:
 
 @contextmanager
 def measured() -> Iterator[Callable[[], Minute]]:
-    """A gateway just started, and everything that is sent to it; yields what measures the next minute."""
+    """Start a gateway, and all that is sent to it; yield what measures the next minute."""
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         settings = {"limits": {"leg_rate_hz": 500.0}, "watchdog": {"timeout_ms": 100.0}}
@@ -108,7 +108,7 @@ WRONG: Final[tuple[tuple[str, str | bytes], ...]] = (
 
 
 def one_round(client: Client, number: int) -> None:
-    """A second's worth; leg 5 falls silent at its end, so its watchdog has work."""
+    """Send for a second; leg 5 falls silent at its end, so its watchdog has work."""
 
     def put(key: str, payload: object) -> None:
         client.session.put(key, json.dumps({"source": f"traffic-{number % 7}", **payload}))  # type: ignore[dict-item]

@@ -35,7 +35,7 @@ exit 0
 
 @cache
 def lacks() -> str:
-    """What this machine lacks for a box, in one line; empty when nothing."""
+    """Return what this machine lacks for a box, in one line; empty when nothing."""
     if lack := lacks_tools("a systemd in a box is", "unshare", "nsenter", "systemctl", "ip"):
         return lack
     if not Path("/lib/systemd/systemd").exists():
@@ -48,7 +48,7 @@ def lacks() -> str:
 
 
 def lacks_tools(what: str, *tools: str) -> str:
-    """What this machine lacks for that, which these tools and root do, in one line; empty when nothing."""
+    """Return what this machine lacks for that, which these tools and root do, in one line; empty when nothing."""
     missing = [tool for tool in tools if shutil.which(tool) is None]
     if os.geteuid() != 0 or missing:
         return f"{what} not run here: that needs root, and {', '.join(missing) or 'no more'}"
@@ -105,11 +105,11 @@ class Box(Closing):
 
     @property
     def root(self) -> Path:
-        """Its root, as it is seen from outside."""
+        """Return its root, as it is seen from outside."""
         return Path(f"/proc/{self._pid}/root")
 
     def command(self, *command: str) -> list[str]:
-        """The command line that runs `command` inside, from outside. Let it end by itself.
+        """Return the command line that runs `command` inside, from outside. Let it end by itself.
 
         Killed, it takes `command` with it, but leaves it to this machine's init to be buried, and until then the
         box cannot end: some inits take ten seconds.
@@ -143,7 +143,7 @@ class Box(Closing):
         )
 
     def read(self, path: str) -> str:
-        """A file's text."""
+        """Return a file's text."""
         return self.run("cat", path).stdout
 
     def exists(self, path: str) -> bool:
@@ -161,7 +161,7 @@ class Unit:
         return self.box.run("systemctl", verb, *options, self.name, check=check)
 
     def properties(self, *names: str) -> Sequence[str]:
-        """These of its properties, as `systemctl show` gives them."""
+        """Return these of its properties, as `systemctl show` gives them."""
         shown = self.systemctl("show", *(f"--property={name}" for name in names)).stdout
         values = dict(line.split("=", 1) for line in shown.splitlines())
         return [values[name] for name in names]

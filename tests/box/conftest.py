@@ -18,7 +18,7 @@ def packages(tmp_path_factory: pytest.TempPathFactory) -> Packages:
 
 @pytest.fixture(scope="session")
 def prepared(tmp_path_factory: pytest.TempPathFactory, packages: Packages) -> Iterator[Path]:
-    """A machine with the package installed and set up, of which each box has a view of its own."""
+    """Yield a machine with the package installed and set up, of which each box has a view of its own."""
     folder = tmp_path_factory.mktemp("prepared")
     layer = folder / "layer.tar"
     with Box(folder, keep=layer) as box:
@@ -29,14 +29,14 @@ def prepared(tmp_path_factory: pytest.TempPathFactory, packages: Packages) -> It
 
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory, prepared: Path) -> Iterator[InstalledGateway]:
-    """A box with the gateway installed, and an emulated SPI device behind it; one for all tests of a file."""
+    """Yield a box with the gateway installed, and an emulated SPI device behind it; one for all tests of a file."""
     with Box(tmp_path_factory.mktemp("installed"), base=prepared) as box, InstalledGateway(box) as robot:
         yield robot
 
 
 @pytest.fixture
 def robot(installed: InstalledGateway) -> Iterator[InstalledGateway]:
-    """The same, with the service stopped and the configuration as installed, before and after."""
+    """Yield the same, with the service stopped and the configuration as installed, before and after."""
     installed.reset()
     cursor = installed.cursor()
     yield installed

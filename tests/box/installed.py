@@ -57,7 +57,7 @@ class InstalledGateway(Closing):
         self.box.write(CONFIGURATION, f'spi.framing = "plain"\n{text}')
 
     def reset(self) -> None:
-        """The service stopped, with its own configuration and no drop-in but the emulated device's."""
+        """Stop the service; leave its own configuration, and no drop-in but the emulated device's."""
         self.bed.heal()
         self.bed.release()
         self.unit.systemctl("stop", check=False)
@@ -73,17 +73,17 @@ class InstalledGateway(Closing):
         return done.stdout + done.stderr
 
     def cursor(self) -> str:
-        """Where the journal ends, with all that has been said until now."""
+        """Return where the journal ends, with all that has been said until now."""
         self.box.run("journalctl", "--sync")
         return self.box.run("journalctl", "--show-cursor", "--lines=0").stdout.partition("-- cursor: ")[2].strip()
 
     def journal_since(self, cursor: str) -> str:
-        """What the service, and systemd of it, has said since then."""
+        """Return what the service, and systemd of it, has said since then."""
         self.box.run("journalctl", "--sync")
         return self.box.run("journalctl", *self._journal_options(cursor)).stdout
 
     def journal(self, unit: Unit | None = None) -> Child:
-        """A unit's journal from now on, by default the service's, as a child whose lines can be waited for."""
+        """Return a unit's journal from now on, by default the service's, as a child whose lines can be waited for."""
         folder = next(path for path in ("var/log/journal", "run/log/journal") if self.box.exists(f"/{path}"))
         options = (f"--directory={self.box.root / folder}", *self._journal_options(self.cursor(), unit))
         return Child(["journalctl", "--follow", *options], {"PATH": "/usr/bin:/bin", "LANG": "C.UTF-8"})

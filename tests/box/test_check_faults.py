@@ -78,7 +78,7 @@ class Robot:
         return done.stdout
 
     def check(self) -> list[Line]:
-        """What is not well. Without such a line it has to be content, and with a failure it must not be."""
+        """Return what is not well. Without such a line it has to be content, and with a failure it must not be."""
         done = self.installed.box.run(PROGRAM, "check", env=self.env, check=False)
         print(done.stdout, done.stderr)
         said = (done.stdout + done.stderr).splitlines()

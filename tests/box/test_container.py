@@ -72,7 +72,7 @@ class Containers(Closing):
         return done.stdout + done.stderr
 
     def gateway(self, *arguments: str) -> str:
-        """A command in the running container."""
+        """Run a command in the container."""
         return self.run(f"podman exec {NAME} {NAME} {' '.join(arguments)}")
 
     def wait_for_starts(self, starts: int) -> None:

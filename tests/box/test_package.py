@@ -29,7 +29,7 @@ CONFIGURE = "sudo dpkg --configure -a"
 
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory, packages: Packages) -> Iterator[Robot]:
-    """One robot for all tests of this file, with release 1.1.0."""
+    """Yield one robot for all tests of this file, with release 1.1.0."""
     with Box(tmp_path_factory.mktemp("robot")) as box:
         install(box, packages.make("1.1.0"))
         with Robot(box) as robot:

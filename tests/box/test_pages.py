@@ -33,20 +33,20 @@ class Scene:
         return said
 
     def may_stop(self, name: str, *wait: str) -> bool:
-        """Whether this laptop may command the robot."""
+        """Return whether this laptop may command the robot."""
         config = ("--zenoh-config", f"/root/{name}/{name}.json5")
         done = self.box.run(NAME, "send", "leg", "3", "stop", *config, *wait, check=False)
         return "accepted" in done.stdout
 
     def lets_in(self, *names: str) -> bool:
-        """Whether bert, who is never shut out, and these may command the robot, and of the others nobody."""
+        """Return whether bert, who is never shut out, and these may command the robot, and of the others nobody."""
         present = all(self.may_stop(name, "--timeout", "20") for name in ("bert", *names))
         return present and not any(self.may_stop(name, "--timeout", "1") for name in {"anna", "lena"} - {*names})
 
 
 @pytest.fixture(name="scene")
 def make_scene(tmp_path: Path, prepared: Path) -> Iterator[Scene]:
-    """The gateway is installed, booted since, and there is no SPI device."""
+    """Yield a box with the gateway installed, booted since, and without an SPI device."""
     with Box(tmp_path, base=prepared) as box:
         for name, text in {"ssh": SSH, "scp": SCP, "sudo": SUDO}.items():
             box.write(f"/root/bin/{name}", text)

@@ -53,7 +53,7 @@ def sub(parent: Path, name: str) -> Path:
 
 
 def cut(box: Box, disk: Path, copy: Path) -> Path:
-    """What would be on the disk if the power failed now. Nothing in the box runs meanwhile, systemd included."""
+    """Return what would be on the disk if the power failed now. Nothing in the box runs meanwhile, systemd included."""
     freeze = box.root / "sys/fs/cgroup/cgroup.freeze"
     freeze.write_text("1")
     try:
@@ -64,7 +64,7 @@ def cut(box: Box, disk: Path, copy: Path) -> Path:
 
 
 def instants(box: Box, package: Path, shares: Sequence[float]) -> Iterator[Callable[[], bool]]:
-    """How far dpkg is with a package, by its files in the order in which dpkg takes them.
+    """Yield how far dpkg is with a package, by its files in the order in which dpkg takes them.
 
     0 … 1: so much is written, under dpkg's own names. 1 … 2: so much has got its name.
     """

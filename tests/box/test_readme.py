@@ -21,7 +21,7 @@ ANSWERS: Final = ("y\n", "hexapod-1.0\nplain\n", "61\n90\nyes\nyes\nyes\n")
 
 
 def debian(suite: str, root: Path, parts: str = PARTS) -> Path:
-    """A Debian in a folder, from Debian's mirror; with the spidev that Raspberry Pi OS has."""
+    """Return a Debian in a folder, from Debian's mirror; with the spidev that Raspberry Pi OS has."""
     command = ["debootstrap", "--variant=minbase", f"--include={parts}", suite, str(root)]
     made = subprocess.run(command, capture_output=True, text=True, check=False, timeout=1200)
     assert made.returncode == 0, made.stdout[-2000:] + made.stderr

@@ -26,7 +26,7 @@ MOVE_LEG_3 = ("send", "leg", "3", "start", "90", "45", "120")
 
 
 def has_started(data: bytes) -> bool:
-    """Whether the frame energises a servo."""
+    """Return whether the frame energises a servo."""
     return any(command.op is Op.START for _, command in decode(data).servos)
 
 
@@ -168,7 +168,7 @@ with socket.socket(fileno=stderr) as journal:
 
 @pytest.fixture
 def stuck_journal(robot: InstalledGateway) -> Iterator[None]:
-    """The service runs, and the journal reads nothing of what it says."""
+    """Run the service while the journal reads nothing of what it says."""
     robot.unit.systemctl("start")
     journald = Unit(robot.box, "systemd-journald.service")
     journald.systemctl("kill", "--signal=STOP")

@@ -114,12 +114,12 @@ expect.set_options(timeout=LATE_MS)
 
 
 def lacks() -> str:
-    """What this machine lacks for a page, in one line; empty when nothing."""
+    """Return what this machine lacks for a page, in one line; empty when nothing."""
     return "" if CHROMIUM.exists() else "Debian package missing: chromium"
 
 
 def put_to_rest(gateway: Gateway) -> None:
-    """Whatever a test left behind: the lease is taken, which stops all legs, and STOP ALL is left."""
+    """Undo what a test left: take the lease, which stops all legs, and leave STOP ALL."""
     with gateway.client() as robot, robot.lease(take=True):
         if robot.state().mode == "estopped":
             assert robot.reset().accepted
@@ -161,7 +161,7 @@ class Visitor(Closing):
         return opened
 
     def renderers(self) -> set[int]:
-        """The process ids of those that run pages."""
+        """Return the process ids of those that run pages."""
         processes = self._browser.new_browser_cdp_session().send("SystemInfo.getProcessInfo")["processInfo"]
         return {each["id"] for each in processes if each["type"] == "renderer"}
 
@@ -194,12 +194,12 @@ class Opened:
         self.page.close()
 
     def __getitem__(self, name: str) -> Locator:
-        """The element with this id."""
+        """Return the element with this id."""
         return self.page.locator(f"#{name}")
 
     @property
     def said(self) -> Locator:
-        """The line that says what happened."""
+        """Return the line that says what happened."""
         return self["said"]
 
     def expect_live(self) -> None:
@@ -207,7 +207,7 @@ class Opened:
         expect(self.page.locator("body")).to_have_attribute("data-live", "yes")
 
     def go_to_button(self) -> None:
-        """The console's other page."""
+        """Open the console's other page."""
         self.page.goto(f"{self.page.url.rstrip('/')}/button")
 
     def get_lease(self) -> None:
@@ -234,7 +234,7 @@ class Opened:
             self["drive-title"].click()
 
     def select(self, leg: int) -> None:
-        """The leg that the sliders belong to."""
+        """Select the leg that the sliders belong to."""
         self.show_joints()
         self.page.locator("#leg-chooser label").nth(leg - 1).click()
 
@@ -243,11 +243,11 @@ class Opened:
         expect(self[f"leg-row-{leg}"]).to_contain_text(word)
 
     def module(self, name: str, expression: str, argument: Any = None) -> Any:
-        """What an expression over a module of the page's says: `module("kinematics", "(m, a) => m.LEGS")`."""
+        """Return what an expression over a module of the page's says: `module("kinematics", "(m, a) => m.LEGS")`."""
         return self.page.evaluate(f"async (a) => ({expression})(await import('/{name}.js'), a)", argument)
 
     def violations(self) -> dict[tuple[str, str], str]:
-        """What axe finds: by color scheme and rule, the first element."""
+        """Return what axe finds: by color scheme and rule, the first element."""
         found = {}
         for scheme in ("dark", "light"):  # as it was
             self.page.emulate_media(color_scheme=scheme)
@@ -256,11 +256,11 @@ class Opened:
         return found
 
     def devtools(self) -> CDPSession:
-        """The browser's own interface to this page."""
+        """Return the browser's own interface to this page."""
         return self.context.new_cdp_session(self.page)
 
     def hide(self) -> None:
-        """As if another tab were in front, or the phone locked."""
+        """Hide the page, as if another tab were in front, or the phone locked."""
         self.page.evaluate(VISIBILITY % "hidden")
 
     def show(self) -> None:

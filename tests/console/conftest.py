@@ -17,7 +17,7 @@ TRIES: Final = 3
 
 @pytest.fixture(scope="package")
 def playwright() -> Iterator[Playwright]:
-    """The driver."""
+    """Yield the driver."""
     with sync_playwright() as running:
         yield running
 

@@ -47,7 +47,7 @@ const labelled = (words) => [...document.querySelectorAll("[aria-label]")].find(
 
 
 def lacks() -> str:
-    """What this machine lacks for these browsers, in one line; empty when nothing."""
+    """Return what this machine lacks for these browsers, in one line; empty when nothing."""
     missing = [package for package, program in NEEDS.items() if shutil.which(program) is None]
     return f"Debian packages missing: {' '.join(missing)}" if missing else ""
 
@@ -74,7 +74,7 @@ class OtherBrowser(Closing):
 
     @abstractmethod
     def ask(self, command: str, **parameters: Any) -> Any:
-        """One of WebDriver's commands; its value."""
+        """Send one of WebDriver's commands. Return its value."""
 
     def close(self) -> None:
         self._stack.close()
@@ -84,7 +84,7 @@ class OtherBrowser(Closing):
         self.ask("Navigate", url=url)
 
     def find(self, expression: str) -> Any:
-        """The value of an expression in the page."""
+        """Return the value of an expression in the page."""
         return self.ask("ExecuteScript", script=f"{SHOWN} return {expression};", args=[])
 
     def wait(self, condition: str) -> None:
@@ -119,7 +119,7 @@ class OtherBrowser(Closing):
         self.ask("PerformActions", actions=[_thumb([{"type": "pointerUp", "button": 0}])])
 
     def _middle(self, element: str) -> tuple[int, int, float]:
-        """Where it is, and how high."""
+        """Return where it is, and how high."""
         self.find(f'{element}.scrollIntoView({{ block: "nearest" }})')
         box = cast(Mapping[str, float], self.find(f"{element}.getBoundingClientRect().toJSON()"))
         return round(box["x"] + box["width"] / 2), round(box["y"] + box["height"] / 2), box["height"]

@@ -33,7 +33,7 @@ def alive(watcher: Client, count: int) -> GatewayState:
 
 
 def watching(visitor: Visitor, watcher: Client, script: str = "", **options: Any) -> Opened:
-    """A page that checks in."""
+    """Return a page that checks in."""
     page = visitor.open(script=script, **options)
     page.go_to_button()
     expect(page["word"]).to_have_text("TAP TO WATCH")

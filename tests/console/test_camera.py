@@ -29,7 +29,7 @@ def camera() -> Iterator[CameraServer]:
 
 @pytest.fixture(scope="module")
 def console(gateway: Gateway, camera: CameraServer, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Console]:
-    """A busy machine delays pictures too, so they count for four times as long."""
+    """Start a console. Pictures count for four times as long: a busy machine delays them, too."""
     arguments = ("--connect", gateway.endpoint, "--camera", f"front={camera.url}", "--camera-stale-ms", "2000")
     with Console(tmp_path_factory.mktemp("console"), *arguments) as running:
         yield running

@@ -63,7 +63,7 @@ def wait_for(written: Heard[FrameRecord], leg: int, op: Op, *angles: float) -> N
 
 
 def of_leg(written: Heard[FrameRecord], leg: int) -> list[FrameRecord]:
-    """The leg's frames from its first setpoint on: a Stop counts once the leg has moved."""
+    """Return the leg's frames from its first setpoint on: a Stop counts once the leg has moved."""
     found = [(decode(bytes.fromhex(record.bytes)), record) for record in written.all]
     of = [record for frame, record in found if isinstance(frame, OneLeg) and frame.leg == leg]
     return of[next((index for index, record in enumerate(of) if not is_stop(record)), len(of)) :]

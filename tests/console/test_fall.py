@@ -21,7 +21,7 @@ STEEP: Final = "--sim=physics --terrain slope:30 --friction 3 --mass-kg 1 --serv
 
 
 def both_sides(client: Client, legs: tuple[int, ...], second_deg: float, third_deg: float, verb: str) -> None:
-    """The same for left and right legs, whose servos are mirrored."""
+    """Do the same to left and right legs, whose servos are mirrored."""
     angles = {leg: (90, second_deg, third_deg) if leg % 2 else (90, 180 - second_deg, 180 - third_deg) for leg in legs}
     assert getattr(client, verb)(angles).accepted
 

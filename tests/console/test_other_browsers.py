@@ -23,7 +23,7 @@ PUSHES: Final = 20
 
 @pytest.fixture(params=[WebKit, Firefox])
 def page(request: pytest.FixtureRequest, tmp_path: Path, gateway: Gateway) -> Iterator[OtherBrowser]:
-    """A browser that has opened nothing yet; the robot rests before and after."""
+    """Yield a browser that has opened nothing yet; the robot rests before and after."""
     put_to_rest(gateway)
     with request.param(tmp_path) as running:
         yield running

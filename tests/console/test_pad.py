@@ -39,7 +39,7 @@ class Thumb:
         self.move(0, down)
 
     def cancel(self) -> None:
-        """The system takes the touch, for a gesture of its own."""
+        """Have the system take the touch, for a gesture of its own."""
         self._devtools.send("Input.dispatchTouchEvent", {"type": "touchCancel", "touchPoints": []})
 
     def _touch(self, kind: str, x: float, y: float) -> None:

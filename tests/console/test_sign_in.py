@@ -18,7 +18,7 @@ pytestmark = pytest.mark.browser
 
 @contextmanager
 def signed_in(browser: Browser, console: Console) -> Iterator[Opened]:
-    """A page in a browser of its own, which has just opened a link."""
+    """Yield a page in a browser of its own, which has just opened a link."""
     with browser.new_context() as context:
         context.add_init_script(WITHOUT_WEBGL)
         opened = Opened(context, context.new_page())
@@ -56,7 +56,7 @@ def test_whoever_takes_the_port_of_a_console_that_is_gone_gets_no_key(
 
 @contextmanager
 def listening(at: int) -> Iterator[list[str]]:
-    """A web server of somebody else's, at that port; the requests that it got."""
+    """Yield a web server of somebody else's, at that port; the requests that it got."""
     requests: list[str] = []
 
     class Handler(http.server.BaseHTTPRequestHandler):

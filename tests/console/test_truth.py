@@ -103,13 +103,13 @@ def ran(written: Sequence[FrameRecord]) -> list[tuple[float, bool]]:
 
 
 def truth(spans: list[tuple[float, bool]], at_ms: float) -> set[bool]:
-    """Whether a servo ran at some time, or did not, within what the page may still not know."""
+    """Return whether a servo ran at some time, or did not, within what the page may still not know."""
     ends = [*(began for began, _ in spans[1:]), float("inf")]
     return {runs for (began, runs), end in zip(spans, ends, strict=True) if began <= at_ms and end >= at_ms - AFTER_MS}
 
 
 def false_words(note: dict[str, Any], runs: set[bool], *, reached: bool) -> list[str]:
-    """What the page says of the robot, and cannot know, or is not so."""
+    """Return what the page says of the robot, and cannot know, or is not so."""
     words = [f"{each}: {note[each]}" for each in ("walk", "said") if note[each].startswith(CLAIMS)]
     words += [f"{note[each]} legs run" for each in ("runs", "rows") if note[each]]
     words += [

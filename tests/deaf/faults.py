@@ -47,7 +47,7 @@ class _Recorded(Robot):
 
 
 async def recorded(messages: Iterable[Message], until_ms: float) -> list[Written]:
-    """All transfers up to this time of a gateway that starts at 0 and receives these."""
+    """Return all transfers up to this time of a gateway that starts at 0 and receives these."""
     robot = _Recorded()
     begun_ns = robot.now_ns()
     robot.conductor.start()
@@ -111,7 +111,7 @@ class Watcher:
                 self.missed_first_stops += 1
 
     def _compare(self, servo_id: int, before: int | None, now: int | None, said: Said | None, how: str) -> None:
-        """Whether one servo does what no frame said, or has ended to."""
+        """Note whether one servo does what no frame said, or no longer does what one said."""
         op, angle_us = said or (None, None)
         if now is None or (op is not None and now == angle_us and (before is not None or op is Op.START)):
             self.astray.discard(servo_id)
@@ -121,14 +121,14 @@ class Watcher:
 
 
 def pulses(controller: Controller) -> State:
-    """The pulse of each servo that is on; None for one that is off, whose compare value nobody sees."""
+    """Return the pulse of each servo that is on; None for one that is off, whose compare value nobody sees."""
     servos = controller.servos
     return {servo_id: servos[servo_id].pulse_us if servos[servo_id].energised else None for servo_id in SERVO_IDS}
 
 
 @functools.cache
 def _said(data: bytes) -> dict[int, Said]:
-    """What a frame says of its servos: the operation (None: Stop) and the pulse."""
+    """Return what a frame says of its servos: the operation (None: Stop) and the pulse."""
     if len(data) == 1:
         return {}
     return {
@@ -138,7 +138,7 @@ def _said(data: bytes) -> dict[int, Said]:
 
 
 def _after(before: State, said: dict[int, Said]) -> State:
-    """What becomes of the servos as a frame says it; a Set for one that is off is not seen."""
+    """Return what becomes of the servos as a frame says it; a Set for one that is off is not seen."""
     after = dict(before)
     for servo_id, (op, angle_us) in said.items():
         if op is not Op.SET or before[servo_id] is not None:
@@ -162,7 +162,7 @@ class Fault(NamedTuple):
     lost: int
 
     def received(self, log: list[Written]) -> dict[int, bytes]:
-        """The transfers that it changes, by their place in the log."""
+        """Return the transfers that it changes, by their place in the log."""
         changed, position, lost = {}, self.position, self.lost
         for index in range(self.transfer, len(log)):
             data = log[index].data

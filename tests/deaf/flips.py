@@ -13,7 +13,7 @@ RUN_NS = 10_000_000
 
 
 def runs(log: Sequence[Written]) -> list[tuple[int, bytes]]:
-    """Each run's time and bytes, with the preamble before it."""
+    """Return each run's time and bytes, with the preamble before it."""
     found: list[tuple[int, bytes]] = []
     for before, written in zip((None, *log), log, strict=False):
         if before is not None and written.at_ns - before.at_ns < RUN_NS:
@@ -24,7 +24,7 @@ def runs(log: Sequence[Written]) -> list[tuple[int, bytes]]:
 
 
 def flipped(data: bytes, bits: Iterable[int]) -> bytes:
-    """The bytes with these bits inverted, counted from bit 0 of byte 0."""
+    """Return the bytes with these bits inverted, counted from bit 0 of byte 0."""
     changed = bytearray(data)
     for bit in bits:
         changed[bit >> 3] ^= 1 << (bit & 7)
@@ -41,12 +41,12 @@ def two_bits_of_a_byte(data: bytes) -> list[bytes]:
 
 
 def one_more(data: bytes) -> list[bytes]:
-    """One byte of any value inserted before each."""
+    """Return one byte of any value inserted before each."""
     return [data[:at] + bytes([value]) + data[at:] for at in range(len(data)) for value in range(256)]
 
 
 def outcomes(faulty: Iterable[bytes], then: Sequence[tuple[int, bytes]] = (), *, running: bool = False) -> Counter[str]:
-    """How many faulty runs, each with the runs `then` (ns after it), end "on", "dead", "dead and on" or "off".
+    """Return how many faulty runs, each with the runs `then` (ns after it), end "on", "dead", "dead and on" or "off".
 
     `running`: whether all servos are on before; else all are off.
     """

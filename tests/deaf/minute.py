@@ -32,7 +32,7 @@ def minute() -> list[Message]:
 
 
 def stopped_walk(stop_ms: int) -> list[Message]:
-    """Six legs at 50 Hz, and an emergency stop."""
+    """Return six legs at 50 Hz, and an emergency stop."""
     return [*_walk(500, stop_ms, 20), _put(stop_ms, keys.ESTOP, {})]
 
 
@@ -41,7 +41,7 @@ def _put(at_ms: float, key: str, payload: dict[str, Any]) -> Message:
 
 
 def _angles(leg: int, at_ms: float) -> list[float]:
-    """A gait: each joint swings, to the hundredth of a degree, so that many values come on the wire."""
+    """Return a gait: each joint swings, to the hundredth of a degree, so that many values come on the wire."""
     phase = at_ms / 800 * 2 * math.pi + leg * math.pi / 3
     return [round(90 + swing * math.sin(phase + joint), 2) for joint, swing in enumerate((25.3, 40.7, 85.9))]
 
@@ -51,14 +51,14 @@ def _leg(op: str, leg: int, at_ms: float) -> dict[str, Any]:
 
 
 def _walk(begin_ms: int, end_ms: int, period_ms: int) -> Iterator[Message]:
-    """All legs in one message; a start now and then, as one who has missed a stop would send it."""
+    """Yield all legs in one message; a start now and then, as one who has missed a stop would send it."""
     for count, at_ms in enumerate(range(begin_ms, end_ms, period_ms)):
         op = "start" if count % 10 == 0 else "set"
         yield _put(at_ms, keys.LEGS_COMMAND, {"legs": {str(leg): _leg(op, leg, at_ms) for leg in LEGS}})
 
 
 def _three_legs(begin_ms: int, end_ms: int, chance: random.Random) -> Iterator[Message]:
-    """Three legs at 50 Hz, spread evenly, and single servos of a fourth."""
+    """Yield three legs at 50 Hz, spread evenly, and single servos of a fourth."""
     for count, at_ms in enumerate(range(begin_ms, end_ms, 20)):
         for leg in (1, 2, 3):
             yield _put(at_ms + 6 * leg, keys.leg_command(leg), _leg("start" if count % 25 == 0 else "set", leg, at_ms))
@@ -70,7 +70,7 @@ def _three_legs(begin_ms: int, end_ms: int, chance: random.Random) -> Iterator[M
 
 
 def _slow(begin_ms: int, end_ms: int) -> Iterator[Message]:
-    """Two legs at 8 Hz, one of them stopped and started again and again."""
+    """Yield two legs at 8 Hz, one of them stopped and started again and again."""
     for count, at_ms in enumerate(range(begin_ms, end_ms, 125)):
         yield _put(at_ms, keys.leg_command(5), _leg("start" if count % 8 == 0 else "set", 5, at_ms))
         stop = {"servos": [{"op": "stop"}] * 3}

@@ -30,7 +30,7 @@ class Place(NamedTuple):
 
     @property
     def servo(self) -> int | None:
-        """Whose it is, counted from 0; None: nobody's."""
+        """Return whose it is, counted from 0; None: nobody's."""
         record = self.at - 3
         return record // 4 if 0 <= record < 4 * self.servos else None
 
@@ -54,7 +54,7 @@ def commands(avoid_cdeg: Avoid) -> frozenset[tuple[int, int, int]]:
 
 @cache
 def values(place: Place, avoid_cdeg: Avoid) -> frozenset[int]:
-    """All that this byte can be."""
+    """Return all that this byte can be."""
     length = 2 + 4 * place.servos
     if place.at < 2:
         return frozenset({length})
@@ -70,7 +70,7 @@ def values(place: Place, avoid_cdeg: Avoid) -> frozenset[int]:
 
 @cache
 def together(first: Place, second: Place, avoid_cdeg: Avoid) -> frozenset[tuple[int, int]]:
-    """All that two bytes can be at once: those of one servo depend on each other, any others do not."""
+    """Return all that two bytes can be at once: those of one servo depend on each other, any others do not."""
     if first.servo is not None and first.servo == second.servo and first.field and second.field:
         pairs = ((command[first.field - 1], command[second.field - 1]) for command in commands(avoid_cdeg))
         return frozenset(pairs)
@@ -78,12 +78,12 @@ def together(first: Place, second: Place, avoid_cdeg: Avoid) -> frozenset[tuple[
 
 
 def announced(servos: int) -> list[Place]:
-    """The places of an announced frame, and of the byte behind it."""
+    """Return the places of an announced frame, and of the byte behind it."""
     return [Place(servos, at) for at in range(1 + 2 + 4 * servos + 1)]
 
 
 def faults(servos: int) -> Iterator[tuple[str, list[Place]]]:
-    """An announced frame with each byte lost, and with each byte doubled."""
+    """Yield an announced frame with each byte lost, and with each byte doubled."""
     *frame, behind = announced(servos)
     for at in range(len(frame)):
         yield f"byte {at} lost", [*frame[:at], *frame[at + 1 :], behind]

@@ -78,7 +78,7 @@ class Fall(NamedTuple):
     tilt_deg: float
 
     def worse(self, other: "Fall") -> "Fall":
-        """The worse of each figure."""
+        """Return the worse of each figure."""
         return Fall(*map(max, self, other))
 
 

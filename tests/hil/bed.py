@@ -40,7 +40,7 @@ REPLY_TIMEOUT_S = 30.0  # a reply takes about a millisecond; 12 ms where the nod
 
 @cache
 def missing_packages() -> str:
-    """What a test with the emulated device lacks here, in one line; empty when nothing."""
+    """Return what a test with the emulated device lacks here, in one line; empty when nothing."""
     missing = (
         not Path(SYSTEM_PYTHON).exists()
         or subprocess.run([SYSTEM_PYTHON, "-c", NEEDS], capture_output=True, check=False).returncode
@@ -155,7 +155,7 @@ class SpiTestbed(Closing):
 
     @property
     def events(self) -> list[Event]:
-        """All that has arrived up to now: openings, settings and transfers, in order."""
+        """Return all that has arrived up to now: openings, settings and transfers, in order."""
         if not self._ended:
             self._command("set")
         with self._changed:
@@ -163,7 +163,7 @@ class SpiTestbed(Closing):
 
     @property
     def transfers(self) -> list[Transfer]:
-        """The transfers that have arrived up to now, in order, also those that were answered an error."""
+        """Return the transfers that have arrived up to now, in order, also those that were answered an error."""
         return [event for event in self.events if isinstance(event, Transfer)]
 
     @property
@@ -209,15 +209,15 @@ class SpiTestbed(Closing):
         self._command("set", errno=errno, left=count, after=after)
 
     def fail_by_chance(self, share: float, seed: int) -> None:
-        """Each transfer fails with this probability, until `heal`."""
+        """Let each transfer fail with this probability, until `heal`."""
         self._command("set", share=share, seed=seed)
 
     def reject_lists(self, errno: int = errors.EINVAL) -> None:
-        """A kernel that takes no lists of transfers: calls of more than one answer `errno`."""
+        """Take no lists of transfers, as some kernels: calls of more than one answer `errno`."""
         self._command("set", list_errno=errno)
 
     def ignore_cs_change(self) -> None:
-        """A driver that does not release chip select within a call: a list of transfers is one cycle."""
+        """Release no chip select within a call, as some drivers: a list of transfers is one cycle."""
         self._command("set", ignores_cs_change=True)
 
     def heal(self) -> None:
@@ -232,15 +232,15 @@ class SpiTestbed(Closing):
         self._command("release")
 
     def remove_node(self) -> None:
-        """The device goes: opening answers ENOENT, descriptors open now answer ESHUTDOWN for ever."""
+        """Take the device away: opening answers ENOENT, open descriptors answer ESHUTDOWN for ever."""
         self._command("remove_node")
 
     def restore_node(self) -> None:
-        """The device is back, as a new node; ends `remove_node`."""
+        """Bring the device back, as a new node; ends `remove_node`."""
         self._command("restore_node")
 
     def answer(self, data: bytes) -> None:
-        """What later transfers read; without waiting until it holds."""
+        """Set what later transfers read; without waiting until it holds."""
         with self._changed:
             self._send(0, "set", answer=data.hex())
 

@@ -99,7 +99,7 @@ class SpiController:
             answer()
 
     def shut_down(self) -> None:
-        """The device has gone: descriptors open now answer ESHUTDOWN for ever."""
+        """Take the device away: descriptors open now answer ESHUTDOWN for ever."""
         with self._lock:
             self._gone_before = len(self._clients)
 
@@ -109,7 +109,7 @@ class SpiController:
             self._clients[client] = len(self._clients) + 1
 
     def _opening(self, client: Any) -> int:
-        """The number of this client's opening, which its first call makes known (spidev calls as it opens)."""
+        """Return the number of this client's opening, which its first call makes known (spidev calls as it opens)."""
         if client not in self._openings:
             if not any(each.get_connected() for each in self._openings):  # umockdev notices a close some time after it
                 self._speed_hz = DEFAULT_SPEED_HZ
@@ -179,7 +179,7 @@ class SpiController:
         _answer(client, length, code)
 
     def _cycles(self, segments: list[Segment]) -> list[list[Segment]]:
-        """The same in chip-select cycles."""
+        """Return the same in chip-select cycles."""
         cycles: list[list[Segment]] = [[]]
         for segment in segments:
             cycles[-1].append(segment)
@@ -188,7 +188,7 @@ class SpiController:
         return cycles
 
     def _rejection(self, client: Any, data: list[bytes]) -> int:
-        """Why none of a call's transfers is made; 0: they are."""
+        """Return why none of a call's transfers is made; 0: they are."""
         if self._clients[client] <= self._gone_before:
             return errno.ESHUTDOWN
         if len(data) > 1 and self._faults["list_errno"]:
@@ -197,7 +197,7 @@ class SpiController:
         return errno.EMSGSIZE if held > BUFSIZ else 0
 
     def _verdict(self) -> int:
-        """What becomes of the next transfer."""
+        """Return what becomes of the next transfer."""
         faults = self._faults
         if faults["left"] == 0:
             return errno.EIO if faults["share"] and self._chance.random() < faults["share"] else 0
@@ -275,7 +275,7 @@ class Testbed:
         return {"UMOCKDEV_DIR": str(self.root), "LD_PRELOAD": ":".join(preload)}
 
     def remove_node(self) -> None:
-        """The device goes: opening finds nothing, open descriptors are dead. Never with a real device behind it."""
+        """Take the device away: opening finds nothing, open descriptors are dead. Not with a real device behind it."""
         if Path("/dev", NODE).exists():
             raise OSError(f"this machine has a real /dev/{NODE}, which the programs under test would open instead")
         self._node.unlink(missing_ok=True)
@@ -287,7 +287,7 @@ class Testbed:
         self._controller.shut_down()
 
     def restore_node(self) -> None:
-        """The device is there again, as a new node (locks on the old one do not hold it)."""
+        """Bring the device back, as a new node (locks on the old one do not hold it)."""
         if self._hidden.exists():
             self._hidden.rename(self._sockets)
         if not self._node.exists():

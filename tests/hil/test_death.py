@@ -98,7 +98,7 @@ def kill_once(bed: SpiTestbed, framing: Framing, config: Path, moment_s: float) 
 
 
 def check_black_box(ring: Path, transfers: list[Transfer]) -> None:
-    """What the dead gateway wrote to the wire is in its black box, in order.
+    """Check that the black box has what the dead gateway wrote to the wire, in order.
 
     The frames of the last batch may be missing, which with long pauses is several calls: the process was killed between
     these and their records. No record stands for a frame that was not written, and each frame that moves stands behind
@@ -163,7 +163,7 @@ LAGS_NS = (0, 1 * MS, 500 * MS, 999 * MS, 1000 * MS, 1001 * MS, 5000 * MS)
 
 
 def cuts(framing: Framing) -> Iterator[list[bytes]]:
-    """All that a kernel can have transferred of two frames when their sender dies."""
+    """Yield all that a kernel can have transferred of two frames when their sender dies."""
     for first in STARTS:
         for second in STARTS:
             transfers = on_wire(framing, first, second)
@@ -172,7 +172,7 @@ def cuts(framing: Framing) -> Iterator[list[bytes]]:
 
 
 def later(transfers: list[Transfer], begin_ns: int) -> list[Transfer]:
-    """The same as if the first had come at `begin_ns`."""
+    """Return the same as if the first had come at `begin_ns`."""
     moved_ns = begin_ns - transfers[0].monotonic_ns
     return [replace(each, monotonic_ns=each.monotonic_ns + moved_ns) for each in transfers]
 

@@ -109,7 +109,7 @@ client = client_fixture(None)
 
 
 def start_all(robot: ElkapodBed, client: Client) -> None:
-    """The whole robot, as soon as its frames are clocked; returns once the controller has it."""
+    """Start the whole robot once its frames are clocked; return once the controller has it."""
     robot.wait_for_count(1, LATE_S)
     begun_ns = time.monotonic_ns()
     ack = client.start_legs(POSE, check=False)

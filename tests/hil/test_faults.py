@@ -42,7 +42,7 @@ class Scene:
         seen.wait(lambda state: state.legs[3].watchdog is WatchdogState.ARMED)
 
     def touch(self) -> None:
-        """A Set for the running leg, whose frame meets the fault that was ordered; so does what waits."""
+        """Set the running leg: its frame meets the fault that was ordered, and so does what waits."""
         rejected = self.client.set_leg(3, 91, 45, 120, check=False)
         assert (rejected.accepted, rejected.reason) == (False, Reason.BUS_FAULT)
         assert self._waiting.result(LATE_S).reason is Reason.BUS_FAULT
@@ -186,7 +186,7 @@ ALL_START = {"legs": {str(leg): leg_payload("start", (90, 90, 90)) for leg in LE
 
 
 def off_ms(replay: Replay, transfers: list[Transfer], since_ns: int) -> float | None:
-    """How long after `since_ns` this controller's last servo was off; None: one is still on."""
+    """Return how long after `since_ns` this controller's last servo was off; None: one is still on."""
     off_ns = None
     for each in transfers:
         replay.play([each])
@@ -219,7 +219,7 @@ def figures(found: list[float | None]) -> str:
 
 
 def check(found: list[float | None]) -> None:
-    """All were stopped, and nearly all within the aim."""
+    """Check that all were stopped, and nearly all within the aim."""
     assert all(each is not None and each <= LATEST_MS for each in found), figures(found)
     assert sum(each is not None and each <= AIM_MS for each in found) >= 0.8 * len(found) - 1, figures(found)
 

@@ -45,7 +45,7 @@ class Scene:
         self._since = 0
 
     def written(self, transfers: Sequence[Transfer]) -> list[Frame]:
-        """All frames since the servos were started."""
+        """Return all frames since the servos were started."""
         return [decode(each.data) for each in transfers[self._since :] if each.delivered and len(each.data) > 1]
 
     def falls_silent(self, client: Client) -> None:
@@ -66,7 +66,7 @@ class Scene:
         self.bed.wait_for(lambda found: any(there in frame.servos for frame in self.written(found)), LATE_S)
 
     def check_stopped(self, *, landed: bool = False) -> None:
-        """Each servo that runs went towards its pose, never back, and none else moved; six Stops and their repeats
+        """Check that each servo that runs went towards its pose, and no other moved; six Stops and their repeats
         ended it, and a controller that has read all of it energises nothing.
 
         `landed`: the pose was reached. That the way is straight: tests/unit/robot/test_supervisor_landing.py.

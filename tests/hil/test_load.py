@@ -77,7 +77,7 @@ print(longest_s * 1000, flush=True)
 
 @contextmanager
 def crowd(endpoint: str) -> Iterator[None]:
-    """All of them at work."""
+    """Yield all of them at work."""
     with ExitStack() as stack:
         many = stack.enter_context(Child([sys.executable, "-m", "tests.hil.test_load", endpoint], os.environ))
         many.wait_for_output("commanding", timeout_s=30)
@@ -135,7 +135,7 @@ def test_no_servo_is_unattended_under_load_and_nothing_accepted_is_lost(
 
 
 def clients(endpoint: str) -> None:
-    """Every client listens to state and events (nobody reads: rings), and sends commands that are rejected."""
+    """Let clients listen to state and events (nobody reads: rings), and send commands that are rejected."""
     sessions = [zenoh.open(client_config(endpoint)) for _ in range(CLIENTS)]
     listeners = [session.declare_subscriber(key, RingChannel(1)) for session in sessions for key in (STATE, EVENT)]
     print("commanding", len(listeners), flush=True)

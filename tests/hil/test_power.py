@@ -48,7 +48,7 @@ def board(tmp_path: Path) -> Iterator[RecordedBoard]:
 
 @pytest.fixture
 def gateway(request: pytest.FixtureRequest, tmp_path: Path, wire: Wire, board: RecordedBoard) -> Iterator[Gateway]:
-    """A gateway whose board answers."""
+    """Yield a gateway whose board answers."""
     power = {**board.settings, **getattr(request, "param", {})}
     with start(tmp_path, wire, power=power) as running:
         with running.client() as client:
@@ -66,7 +66,7 @@ def leg_3_runs(client: Client, wire: Wire, board: RecordedBoard) -> None:
 
 
 def supply_goes(board: RecordedBoard) -> None:
-    """The next mask takes all supply, and the board follows it."""
+    """Expect the next mask to take all supply, and the board to follow it."""
     assert board.next("mask").mask == 0
     assert board.next("fed").mask == 0
 

@@ -28,12 +28,12 @@ LATE_S = 60.0
 
 
 def transfers_of(framing: Framing, *frames: str) -> list[bytes]:
-    """The transfers that carry these frames (hex), in order."""
+    """Return the transfers that carry these frames (hex), in order."""
     return on_wire(framing, *map(bytes.fromhex, frames))
 
 
 def opening_of(framing: Framing, *frames: str) -> list[bytes]:
-    """The same, behind the preamble: from a device that has just been opened, or of a repeated run of Stops."""
+    """Return the same, behind the preamble: from a device that has just been opened, or of a repeated run of Stops."""
     return [*preamble_of(framing), *transfers_of(framing, *frames)]
 
 
@@ -51,15 +51,15 @@ class Wire:
         """The servos that run, by what was read."""
 
     def expect(self, *frames: str) -> list[Transfer]:
-        """The next frames (hex), and nothing else among them; waits for them."""
+        """Return the next frames (hex), and nothing else among them; waits for them."""
         return self._expect(transfers_of(self.framing, *frames))
 
     def expect_opening(self, *frames: str, times: int = 1) -> list[Transfer]:
-        """The preamble, where the framing has one, and these frames; so often."""
+        """Return the preamble, where the framing has one, and these frames; so often."""
         return self._expect(opening_of(self.framing, *frames) * times)
 
     def _expect(self, expected: list[bytes]) -> list[Transfer]:
-        """The next transfers, byte for byte, each delivered."""
+        """Return the next transfers, byte for byte, each delivered."""
         found: list[Transfer] = []
         while len(found) < len(expected):
             unit = self._next()
@@ -71,7 +71,7 @@ class Wire:
         return found
 
     def _next(self) -> list[Transfer]:
-        """The next transfer, and behind an announcement the frame that it announces."""
+        """Return the next transfer, and behind an announcement the frame that it announces."""
         transfers = self.bed.wait_for(lambda transfers: len(transfers) > self._read, LATE_S)
         if self._announces(transfers[self._read]):
             transfers = self.bed.wait_for(lambda transfers: len(transfers) > self._read + 1, LATE_S)
@@ -94,7 +94,7 @@ class Wire:
         return units
 
     def expect_behind_rest(self, *frames: str) -> None:
-        """These frames at last, and before them nothing but Stops, as a robot at rest gets them (*Legs at rest*)."""
+        """Expect these frames, and before them nothing but Stops, as a robot at rest gets them (*Legs at rest*)."""
         expected, begin = transfers_of(self.framing, *frames), self._read
         self.bed.wait_for(
             lambda transfers: [each.data for each in transfers[begin:]][-len(expected) :] == expected, LATE_S
@@ -108,7 +108,7 @@ class Wire:
         assert [transfer.data.hex() for unit in left for transfer in unit] == []
 
     def skip(self) -> list[Transfer]:
-        """All that has come since what was last read, whatever it is."""
+        """Return all that has come since what was last read, whatever it is."""
         transfers = self.bed.transfers[self._read :]
         self._read += len(transfers)
         for unit in self._units(transfers):
@@ -116,7 +116,7 @@ class Wire:
         return transfers
 
     def _is_by_itself(self, unit: list[Transfer]) -> bool:
-        """Whether the gateway writes it without a command: repeats of Stops, and what legs at rest get.
+        """Return whether the gateway writes it without a command: repeats of Stops, and what legs at rest get.
         How long a test takes must not change what it expects.
         """
         data = unit[-1].data
@@ -137,7 +137,7 @@ def settings_for(wire: Wire, **sections: dict[str, Any]) -> dict[str, dict[str, 
 
 
 def start(folder: Path, wire: Wire, **sections: dict[str, Any]) -> Gateway:
-    """A gateway on the wire, whose start has been read."""
+    """Return a gateway on the wire, whose start has been read."""
     gateway = Gateway(folder, settings_for(wire, **sections), bed=wire.bed)
     wire.expect_opening(*STOPS, times=1 + 1 + STOP_REPEATS)  # the first come before the service is loaded
     return gateway
@@ -155,7 +155,7 @@ class Replay:
         self.controller = Controller(framing, clock=lambda: self.now_ns)
 
     def play(self, transfers: Iterable[Transfer]) -> Self:
-        """What of these was delivered."""
+        """Return what of these was delivered."""
         for transfer in transfers:
             if transfer.delivered:
                 self.give(transfer.data, transfer.monotonic_ns)
@@ -173,7 +173,7 @@ class Replay:
 
 
 def moving(framing: Framing) -> Replay:
-    """A controller whose 18 servos are on."""
+    """Return a controller whose 18 servos are on."""
     replay = Replay(framing)
     for leg in LEGS:
         for data in on_wire(framing, OneLeg(leg, (ServoOp(Op.START, 90_00),) * 3)):

@@ -60,7 +60,7 @@ def main() -> int:
 
 
 def below_floor(scores: Mapping[str, Counter[str]]) -> Iterator[tuple[str, float]]:
-    """The rooms of FLOORED of which too little is noticed, with the share that is."""
+    """Yield the rooms of FLOORED of which too little is noticed, with the share that is."""
     for room in FLOORED:
         of_room = [score for file, score in scores.items() if file.startswith(f"{room}/")]
         killed, wanted = (sum(score[of] for score in of_room) for of in ("killed", "wanted"))
@@ -104,7 +104,7 @@ def _by_its_text(mutant: Mutant) -> bytes:
 
 
 def _unused(comments: Iterable[Accepted], survivors: Iterable[Mutant]) -> Iterator[str]:
-    """The operators of comments, with their lines, whose mutants are all noticed by now."""
+    """Yield the operators of comments, with their lines, whose mutants are all noticed by now."""
     used = {(comment, each.operator) for comment in comments for each in survivors if comment.takes(each)}
     for comment in comments:
         yield from (f"{comment.first}: {name}" for name in comment.operators if (comment, name) not in used)

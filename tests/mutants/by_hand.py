@@ -145,7 +145,7 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
 
 
 def made_by_hand(file: str, source: str) -> list[Mutant]:
-    """A file's. Raises ValueError where its text has changed since one was made."""
+    """Return a file's mutants. Raises ValueError where its text has changed since one was made."""
     mutants: list[Mutant] = []
     for why, old, new in MADE.get(file, ()):
         if source.count(old) != 1:

@@ -26,7 +26,7 @@ class MutatedImport(MetaPathFinder, Loader):
         self._source = source
 
     def find_spec(self, name: str, path: object = None, target: object = None) -> ModuleSpec | None:
-        """The import system's hook."""
+        """Implement the import system's hook."""
         del path, target
         return spec_from_loader(name, self, origin=self._file) if name == self._module else None
 
@@ -94,7 +94,7 @@ def _functions(code: CodeType) -> Iterator[tuple[Place, CodeType]]:
 
 
 def _frame(code: CodeType) -> CodeType:
-    """The body of a module, and those of its classes, without its functions."""
+    """Return the body of a module, and those of its classes, without its functions."""
     consts = [
         (None if const.co_flags & CO_OPTIMIZED else _frame(const)) if isinstance(const, CodeType) else const
         for const in code.co_consts
@@ -103,7 +103,7 @@ def _frame(code: CodeType) -> CodeType:
 
 
 def _loaded(names: dict[str, object], module: str) -> Iterator[FunctionType]:
-    """The functions behind these names, as they are called: behind decorators, properties and classes, too."""
+    """Yield the functions behind these names, as they are called: behind decorators, properties and classes, too."""
     for value in list(names.values()):
         for function in (value, getattr(value, "fget", None), getattr(value, "__func__", None)):
             wrapped = getattr(function, "__wrapped__", function)

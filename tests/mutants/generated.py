@@ -64,7 +64,7 @@ def _wholes(node: ast.AST) -> Iterator[tuple[int, tuple[int, int]]]:
 
 
 def mutants_of(source: str) -> list[Mutant]:
-    """All of a file's, each fault once.
+    """Return all of a file's, each fault once.
 
     Left out is what would be no fault of the program's: another annotation, or how arguments are passed, which mypy
     judges; another promise of a dataclass about itself (`frozen`, `slots`); what mypy alone reads; and what means the
@@ -111,7 +111,7 @@ def _as_it_is(node: NodeOrLeaf) -> Iterator[None]:
 
 
 def _exchanged(tree: BaseNode, node: NodeOrLeaf, mutated: NodeOrLeaf | None) -> str:
-    """The source with another node, or none, in the place of this one."""
+    """Return the source with another node, or none, in the place of this one."""
     parent = node.parent
     assert parent is not None
     kept = parent.children
@@ -132,7 +132,7 @@ def _mutant(source: str, mutated: str, operator: str) -> Mutant:
 
 
 def short(operator: str) -> str:
-    """An operator's name as comments have it: `Step`, `Gt_GtE`."""
+    """Return an operator's name as comments have it: `Step`, `Gt_GtE`."""
     return operator.removeprefix("Replace").split("Operator_")[-1]
 
 
@@ -143,7 +143,7 @@ def _in_a_line(lines: list[str]) -> str:
 
 
 def _alike(lines: list[str], others: list[str]) -> int:
-    """How many lines at the beginning are the same."""
+    """Return how many lines at the beginning are the same."""
     return len(list(takewhile(lambda pair: pair[0] == pair[1], zip(lines, others, strict=False))))
 
 
@@ -157,7 +157,7 @@ _NOT_JUDGED: Final = frozenset({"encoding", "strict"})
 
 
 def _meaning(source: str) -> str:
-    """The syntax without what is not judged, and with a negated comparison written as its opposite."""
+    """Return the syntax without what is not judged, and with a negated comparison written as its opposite."""
     tree = ast.parse(source)
     for node in ast.walk(tree):
         if isinstance(node, ast.arg | ast.AnnAssign):

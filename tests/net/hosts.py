@@ -113,7 +113,7 @@ class RobotHost(Closing):
 
     @property
     def running(self) -> set[int]:
-        """The legs of which a servo runs."""
+        """Return the legs of which a servo runs."""
         return {leg.leg for leg in self.client.state().legs if any(servo.running for servo in leg.servos)}
 
     def seen(self, condition: Callable[[FrameRecord], bool]) -> list[FrameRecord]:
@@ -154,12 +154,12 @@ class RobotHost(Closing):
 
 
 def is_command(*legs: int) -> Callable[[FrameRecord], bool]:
-    """Whether a frame comes from a command for one of these legs."""
+    """Return whether a frame comes from a command for one of these legs."""
     return lambda frame: frame.cause is Cause.COMMAND and _leg(frame) in legs
 
 
 def is_stop(*legs: int) -> Callable[[FrameRecord], bool]:
-    """Whether a frame is the watchdog's, for one of these legs."""
+    """Return whether a frame is the watchdog's, for one of these legs."""
     return lambda frame: frame.cause is Cause.WATCHDOG and _leg(frame) in legs
 
 

@@ -62,19 +62,19 @@ class Network(Closing):
 
     @property
     def robot(self) -> tuple[str, ...]:
-        """What goes before a command to run it on the robot."""
+        """Return what goes before a command to run it on the robot."""
         return ("ip", "netns", "exec", self._robot)
 
     def laptop(self, number: int) -> tuple[str, ...]:
-        """What goes before a command to run it on that laptop."""
+        """Return what goes before a command to run it on that laptop."""
         return ("ip", "netns", "exec", self._laptops[number])
 
     def robot_address(self, laptop: int) -> str:
-        """Where that laptop reaches the robot."""
+        """Return where that laptop reaches the robot."""
         return f"10.77.{laptop}.1"
 
     def another_address(self, laptop: int) -> str:
-        """Where that laptop reaches the robot as well, from now on."""
+        """Return where that laptop reaches the robot as well, from now on."""
         return self._address(laptop, f"10.77.{laptop}.3")
 
     def _address(self, laptop: int, address: str) -> str:
@@ -86,7 +86,7 @@ class Network(Closing):
         _run(*self.robot, "sh", "-c", f"echo {int(not on)} >/proc/sys/net/ipv6/conf/all/disable_ipv6")
 
     def queued_bytes(self, laptop: int) -> int:
-        """How many bytes that were sent to this laptop are still with the robot's kernel."""
+        """Return how many bytes that were sent to this laptop are still with the robot's kernel."""
         asked = (*self.robot, "ss", "-Htn", "state", "established", "dst", _laptop_address(laptop))
         lines = _run(*asked).splitlines()
         return sum(int(line.split()[1]) for line in lines)
@@ -101,7 +101,7 @@ class Network(Closing):
 
 @cache
 def lacks() -> str:
-    """Why there can be no network here, in one line; empty when there can."""
+    """Return why there can be no network here, in one line; empty when there can."""
     if os.geteuid() != 0:
         return "network namespaces need root"
     if shutil.which("ip") is None:

@@ -84,7 +84,7 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hosts]:
 
 @pytest.fixture
 def hosts(running: Hosts) -> Iterator[Hosts]:
-    """The same, on links that are up, with no stream and nothing running."""
+    """Yield the same, on links that are up, with no stream and nothing running."""
     for number, laptop in enumerate(running.laptops):
         running.network.fix(number)
         laptop.pause()
@@ -222,7 +222,7 @@ def check_lateness(what: str, late_ms: list[float]) -> None:
 
 
 def check_undisturbed(laptop: LaptopHost) -> None:
-    """All acknowledged and accepted, and never so long in between that the watchdog would have stopped a leg."""
+    """Check that all were accepted, and never so late that the watchdog would have stopped a leg."""
     laptop.pause()
     longest_s = max(later - earlier for (earlier, _), (later, _) in itertools.pairwise(laptop.answers))
     print(f"the other laptop: {len(laptop.answers)} accepted, longest gap {longest_s * 1000:.0f} ms")

@@ -23,7 +23,7 @@ class Rhythm(NamedTuple):
     """All that they start or set."""
 
     def key(self, now_ns: int, rules: Rules) -> tuple[object, ...]:
-        """What of it still matters."""
+        """Return what of it still matters."""
         young_ns = max(0, self.first_ns + rules.start_wait_ns - now_ns)
         apart_ns = max(0, self.instant_ns + rules.apart_ns - now_ns)
         return young_ns, now_ns - self.last_ns, apart_ns, min(self.messages, 4), self.score, self.servos

@@ -188,7 +188,7 @@ class RecordedBoard(Closing):
         self._reader.join()
 
     def disturb(self, **fault: object) -> None:
-        """A fault, as `gateway.simulation.board_port` names them."""
+        """Cause a fault, as `gateway.simulation.board_port` names them."""
         self.child.tell(json.dumps(fault))
 
     @property
@@ -197,7 +197,7 @@ class RecordedBoard(Closing):
         return {"interface": "slcan", "channel": self.channel, "confirm_ms": 2000}
 
     def next(self, what: str, mask: int | None = None, timeout_s: float = 20.0) -> Noted:
-        """The next of this kind behind what was read before, with this mask if it is given; waits for it."""
+        """Return the next of this kind behind what was read before, with this mask if it is given; waits for it."""
         deadline_s = time.monotonic() + timeout_s
         with self._changed:
             while True:

@@ -21,7 +21,7 @@ RESTS_DEG: Final = {1: 90.0, 2: 150.0, 3: 110.0}
 
 
 def clean() -> dict[str, str]:
-    """This process's environment, without what ROS would have set."""
+    """Return this process's environment, without what ROS would have set."""
     return {name: value for name, value in os.environ.items() if not name.startswith(("ROS_", "RMW_", "FASTDDS_"))}
 
 
@@ -50,7 +50,7 @@ def keeps(publish: Callable[[], object], until: Callable[[], bool], hz: float = 
 
 
 def commanded(records: list[FrameRecord], servo_id: int) -> list[float]:
-    """The angles (degrees) that were written for a servo by commands."""
+    """Return the angles (degrees) that were written for a servo by commands."""
     return [
         op.angle_cdeg / 100
         for record in records
@@ -61,21 +61,21 @@ def commanded(records: list[FrameRecord], servo_id: int) -> list[float]:
 
 
 def rests(written: Heard[FrameRecord], *servos: int, count: int) -> bool:
-    """Whether the newest `count` angles of each of these are the same."""
+    """Return whether the newest `count` angles of each of these are the same."""
     newest = [commanded(written.all[-10 * count :], servo_id)[-count:] for servo_id in servos]
     return all(len(angles) == count and len(set(angles)) == 1 for angles in newest)
 
 
 def strides(written: Heard[FrameRecord]) -> bool:
-    """Whether leg 1 has swung lately."""
+    """Return whether leg 1 has swung lately."""
     return len(set(commanded(written.all[-400:], 11))) > 20
 
 
 def rejections(array: Message) -> str:
-    """What the bridge has not taken last, and why."""
+    """Return what the bridge has not taken last, and why."""
     return next((each.value for each in array.status[-1].values if each.key == "latest_rejection"), "")
 
 
 def does(array: Message) -> str:
-    """What the bridge says of itself."""
+    """Return what the bridge says of itself."""
     return str(array.status[-1].message)

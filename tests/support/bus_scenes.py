@@ -117,12 +117,12 @@ class Bench(SpiDevice):
 
     @property
     def written(self) -> list[bytes]:
-        """All transfers, however they are split."""
+        """Return all transfers, however they are split."""
         return [data for batch in self.batches for data, _ in batch]
 
     @property
     def frames(self) -> list[bytes]:
-        """Those that are frames, whatever announces them."""
+        """Return those that are frames, whatever announces them."""
         return [data for data in self.written if len(data) > 1]
 
     def play(self, scene: str) -> "Bench":

@@ -44,7 +44,7 @@ class ButtonsHistory:
         self.fell_ns: int | None = None
 
     def key(self, now_ns: int) -> tuple[object, ...]:
-        """What of it still matters; one token is as good as another, and so is a count."""
+        """Return what of it still matters; one token is as good as another, and so is a count."""
         each = tuple(
             (
                 button.name,
@@ -62,14 +62,14 @@ class ButtonsHistory:
 
     @property
     def alive(self) -> int:
-        """How many certificates have a button that counts; where nothing is proved, how many names."""
+        """Return how many certificates have a button that counts; where nothing is proved, how many names."""
         who = [each for each in self.known.values() if each.until_ns is not None and each.counts]
         proved = {each.holder for each in who if each.holder is not None}
         return len(proved) + len([each for each in who if each.holder is None])
 
     @property
     def closed(self) -> bool:
-        """Whether fewer are alive than are required."""
+        """Return whether fewer are alive than are required."""
         return self.alive < self.rules.buttons_required
 
     @property

@@ -34,11 +34,11 @@ class OneServos(NamedTuple):
         return 180_00 + self.trim_cdeg - wire_cdeg if self.inverted else wire_cdeg - self.trim_cdeg
 
     def allows(self, angle_cdeg: int) -> bool:
-        """Whether it may be asked for."""
+        """Return whether it may be asked for."""
         return self.low_cdeg <= angle_cdeg <= self.high_cdeg and 0 <= self.wire_cdeg(angle_cdeg) <= 180_00
 
     def with_change(self, change: ServoChange) -> Self:
-        """What it becomes, if that can be."""
+        """Return what it becomes, if that can be."""
         return type(self)(
             self.trim_cdeg if change.trim_deg is None else round(change.trim_deg * 100),
             self.inverted if change.inverted is None else change.inverted,
@@ -48,7 +48,7 @@ class OneServos(NamedTuple):
 
     @property
     def possible(self) -> bool:
-        """Whether a servo can be like that."""
+        """Return whether a servo can be like that."""
         return abs(self.trim_cdeg) <= 90_00 and 0 <= self.low_cdeg <= self.high_cdeg <= 180_00
 
 
@@ -64,16 +64,16 @@ class Whole(NamedTuple):
 
     @classmethod
     def of(cls, calibration: RobotCalibration) -> Self:
-        """The same, as `gateway/robot/core` has it."""
+        """Return the same, as `gateway/robot/core` has it."""
         servos = {servo_id: OneServos(*servo) for servo_id, servo in calibration.servos.items()}
         return cls(calibration.revision, _not_as_drawn(servos), dict(calibration.landing_cdeg))
 
     def allows(self, servo_id: int, angle_cdeg: int) -> bool:
-        """Whether this angle may be asked of this servo."""
+        """Return whether this angle may be asked of this servo."""
         return self.servos.get(servo_id, AS_DRAWN).allows(angle_cdeg)
 
     def changed(self, event: Calibrate) -> Self | None:
-        """What it becomes; None: nothing that could be."""
+        """Return what it becomes; None: nothing that could be."""
         servos, landing = dict(self.servos), dict(self.landing_cdeg)
         for name, change in event.change.servos.items():
             servos[int(name)] = servos.get(int(name), AS_DRAWN).with_change(change)
@@ -106,24 +106,24 @@ class CalibrationHistory:
         self.on_its_way: _OnItsWay | None = None
 
     def key(self) -> tuple[object, ...]:
-        """What of it still matters."""
+        """Return what of it still matters."""
         way = self.on_its_way
         return self.trusted, _key(self.whole), way and (_key(way.whole), way.servos)
 
     # ---- angles
 
     def allows(self, servo_id: int, angle_cdeg: int) -> bool:
-        """Whether the settings and the calibration both let a servo go there."""
+        """Return whether the settings and the calibration both let a servo go there."""
         low, high = self._rules.joint_limits_cdeg.get(servo_id, (0, 180_00))
         within = low <= angle_cdeg <= high and self.whole.allows(servo_id, angle_cdeg)
         return within and not self._avoids(self.whole, servo_id, angle_cdeg)
 
     def wire_cdeg(self, servo_id: int, angle_cdeg: int) -> int:
-        """What the servo is sent for this angle."""
+        """Return what the servo is sent for this angle."""
         return self.whole.servos.get(servo_id, AS_DRAWN).wire_cdeg(angle_cdeg)
 
     def _avoids(self, whole: Whole, servo_id: int, angle_cdeg: int) -> bool:
-        """Whether it is one of the angles that are never on the wire."""
+        """Return whether it is one of the angles that are never on the wire."""
         low, high = self._rules.avoid_cdeg or (0, 0)
         return low <= whole.servos.get(servo_id, AS_DRAWN).wire_cdeg(angle_cdeg) < high
 
@@ -138,7 +138,7 @@ class CalibrationHistory:
         return (below, above) if from_below else (above, below)
 
     def landing_cdeg(self) -> dict[int, int]:
-        """The landing pose, as far as it may be gone to."""
+        """Return the landing pose, as far as it may be gone to."""
         pose = {**self._rules.landing_cdeg, **self.whole.landing_cdeg}
         return {servo_id: angle for servo_id, angle in pose.items() if self.allows(servo_id, angle)}
 
@@ -167,14 +167,14 @@ class CalibrationHistory:
     # ---- changes
 
     def reason_to_reject(self, servo_ids: Collection[int]) -> Reason | None:
-        """Why none of these may be started or set."""
+        """Return why none of these may be started or set."""
         changing = self.on_its_way is not None and not self.on_its_way.servos.isdisjoint(servo_ids)
         return Reason.SERVO_STOPPED if changing or not self.trusted else None
 
     def calibrate(
         self, event: Calibrate, effects: Iterable[Effect], closed: Reason | None, alive: Collection[int]
     ) -> Reason | None:
-        """Why the change must be rejected, or None: then it must be kept, and is on its way from here on.
+        """Return why the change must be rejected, or None: then it must be kept, and is on its way from here on.
 
         `closed` is why no start would be taken at all; `alive` are the servos that run or wait to be started.
         """
@@ -207,7 +207,7 @@ class CalibrationHistory:
         return Reason.INVALID if self.trusted and event.change.accept_default else None
 
     def kept(self, event: CalibrationSaved, effects: Sequence[Effect], alive: Collection[int]) -> Reason | None:
-        """The disk has answered: why the change is rejected; None: it is in force from here on."""
+        """Take the disk's answer. Return why the change is rejected; None: it is in force from here on."""
         way, self.on_its_way = self.on_its_way, None
         demand(way is not None and way.number == event.number, "what is kept was on its way")
         if way is not None and event.fault is None:

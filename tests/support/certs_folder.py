@@ -18,13 +18,13 @@ DAY = dt.timedelta(days=1)
 
 @pytest.fixture(name="folder")
 def make_folder(tmp_path: Path) -> Path:
-    """A folder of certificates as `init` leaves it."""
+    """Return a folder of certificates as `init` leaves it."""
     certs.folder.init(tmp_path / "D", HOSTS)
     return tmp_path / "D"
 
 
 def names(directory: Path) -> set[str]:
-    """Everything in a folder, passing names too."""
+    """Return everything in a folder, passing names too."""
     return {path.name for path in directory.iterdir()}
 
 
@@ -37,7 +37,7 @@ def contents(directory: Path) -> dict[str, bytes]:
 
 
 def fault(call: Callable[[], object]) -> str:
-    """The one line that a faulty call ends with."""
+    """Return the one line that a faulty call ends with."""
     with pytest.raises(ConfigError) as caught:
         call()
     assert "\n" not in str(caught.value)

@@ -57,7 +57,7 @@ class Child(Closing):
 
     @property
     def returncode(self) -> int | None:
-        """The exit status, negative for a signal; None while it runs."""
+        """Return the exit status, negative for a signal; None while it runs."""
         return self._popen.poll()
 
     @property
@@ -155,7 +155,7 @@ class Child(Closing):
 
 @contextmanager
 def frozen(*processes: int) -> Iterator[None]:
-    """Each of these stands still (SIGSTOP) while the `with` lasts."""
+    """Stop each of these processes (SIGSTOP) while the `with` lasts."""
     for process in processes:
         os.kill(process, signal.SIGSTOP)
     try:

@@ -62,7 +62,7 @@ def _at_most(timeout_s: float) -> Iterator[None]:
 
 @cache
 def program() -> Any:
-    """The program's commands, and the Debian package's `setup`."""
+    """Return the program's commands, and the Debian package's `setup`."""
     group: Any = typer.main.get_command(cli.app)
     group.add_command(typer.main.get_command(setup_command.app), "setup")
     return group

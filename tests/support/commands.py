@@ -45,7 +45,7 @@ legal: st.SearchStrategy[tuple[str, dict[str, Any]]] = st.one_of(
 
 
 def parsed(key: str) -> CommandKey:
-    """The command key, as the inbox knows it."""
+    """Return the command key, as the inbox knows it."""
     return COMMAND_KEYS[key]
 
 

@@ -57,7 +57,7 @@ class Console(Closing):
         return sign_in(link or self.new_link())
 
     def get(self, path: str = "/session", **headers: str) -> httpx.Response:
-        """A request with these headers."""
+        """Return a request with these headers."""
         return httpx.get(self.url + path, headers=headers)
 
     def run(self, *arguments: str) -> Child:
@@ -139,7 +139,7 @@ class Page(Closing):
             self._stack = stack.pop_all()
 
     def now_ms(self) -> float:
-        """The page's clock."""
+        """Return the page's clock."""
         return time.perf_counter() * 1000
 
     def send(self, **message: Any) -> None:
@@ -168,11 +168,11 @@ class Page(Closing):
         return self.wait(kind, lambda message: message["id"] == number)
 
     def state(self, fits: Callable[[dict[str, Any]], bool] = lambda _: True) -> dict[str, Any]:
-        """The next state that fits."""
+        """Return the next state that fits."""
         return dict(self.wait("state", lambda message: fits(message["state"]))["state"])
 
     def event(self, *kinds: str, since: datetime) -> dict[str, Any]:
-        """The next event of one of these kinds that happened since then; a page begins with older ones."""
+        """Return the next event of one of these kinds that happened since then; a page begins with older ones."""
 
         def fits(message: dict[str, Any]) -> bool:
             event = message["event"]
@@ -181,11 +181,11 @@ class Page(Closing):
         return dict(self.wait("event", fits)["event"])
 
     def ask(self, key: str, payload: Mapping[str, Any], **more: Any) -> dict[str, Any]:
-        """An acknowledged command; the whole answer."""
+        """Ask for a command. Return the whole answer."""
         return self._ask(type="command", key=key, payload=payload, **more)
 
     def put(self, key: str, payload: Mapping[str, Any], **more: Any) -> None:
-        """A command without an acknowledgement."""
+        """Send a command without an acknowledgement."""
         self.send(**{"type": "command", "key": key, "payload": payload, "sent_ms": self.now_ms(), **more})
 
     def stop_all(self) -> dict[str, Any]:
@@ -199,7 +199,7 @@ class Page(Closing):
         return self._ask(type="reset", estop=estop)
 
     def _ask(self, **message: Any) -> dict[str, Any]:
-        """The answer; asked again, as a person does, where a busy machine held it up for too long on its way."""
+        """Return the answer; asked again, as a person does, where a busy machine held it up for too long on its way."""
         for _ in range(TRIES):
             number = next(self._ids)
             self.send(**{"id": number, "sent_ms": self.now_ms(), **message})

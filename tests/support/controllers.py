@@ -13,7 +13,7 @@ from gateway.simulation.elkapod import GARBAGE, SimulatedElkapod
 
 
 def _power_cycle(servos: SimulatedServos) -> None:
-    """All are off, and know no angle."""
+    """Switch all off; they know no angle."""
     for servo_id, servo in servos.items():
         servo.target_deg = servo.pulse_us = None
         servos.stop(servo_id)
@@ -43,7 +43,7 @@ class Controller(SimulatedController):
 
     @property
     def energised(self) -> frozenset[int]:
-        """The ids of the servos whose PWM output is on now."""
+        """Return the ids of the servos whose PWM output is on now."""
         return frozenset(servo_id for servo_id, servo in self.servos.items() if servo.energised)
 
     @property
@@ -111,7 +111,7 @@ class Elkapod(SimulatedElkapod):
 
     @property
     def energised(self) -> frozenset[int]:
-        """The ids of the servos that are driven now: all or none."""
+        """Return the ids of the servos that are driven now: all or none."""
         return frozenset(servo_id for servo_id, servo in self.servos.items() if servo.energised)
 
     def power_cycle(self, *, off_ns: int = 0, first_answer: bytes = GARBAGE) -> None:

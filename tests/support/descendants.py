@@ -77,7 +77,7 @@ def children(process: int) -> list[int]:
 
 
 def _parents() -> Iterator[tuple[int, int]]:
-    """Each process that has not ended, and its parent."""
+    """Yield each process that has not ended, and its parent."""
     for folder in Path("/proc").glob("[0-9]*"):
         with suppress(OSError):
             state, parent = (folder / "stat").read_text().rpartition(")")[2].split()[:2]

@@ -79,7 +79,7 @@ def _keep_for_the_library() -> None:
 
 
 def os_open(own: Callable[..., Any]) -> Callable[..., Any]:
-    """An `open` for which Linux's own files are not there."""
+    """Return an `open` for which Linux's own files are not there."""
 
     def opened(path: Any, *arguments: Any, **named: Any) -> Any:
         caller = sys._getframe(1).f_globals.get("__name__", "")

@@ -34,7 +34,7 @@ def gateway_fixture(
     scope: Scope = "module",
     options: Sequence[str] = ("--sim",),
 ) -> Any:
-    """A fixture: a gateway with these settings, for a module or for each test of it."""
+    """Return a fixture: a gateway with these settings, for a module or for each test of it."""
 
     @pytest.fixture(scope=scope)
     def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
@@ -59,7 +59,7 @@ def client_fixture(source: str | None, *, rests: bool = False) -> Any:
 
 
 def console_fixture(scope: Scope = "module") -> Any:
-    """A fixture: a console of the fixture `gateway`."""
+    """Return a fixture: a console of the fixture `gateway`."""
 
     @pytest.fixture(scope=scope)
     def console(gateway: Gateway, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Console]:
@@ -70,7 +70,7 @@ def console_fixture(scope: Scope = "module") -> Any:
 
 
 def session_fixture(scope: Scope = "module") -> Any:
-    """A fixture: a session of the fixture `console`."""
+    """Return a fixture: a session of the fixture `console`."""
 
     @pytest.fixture(scope=scope)
     def session(console: Console) -> SignedIn:

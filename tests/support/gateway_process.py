@@ -38,7 +38,7 @@ _ports = itertools.cycle(_shuffled())
 
 
 def free_port() -> int:
-    """A TCP port of this machine's loopback that nobody listens on now."""
+    """Return a TCP port of this machine's loopback that nobody listens on now."""
     while True:
         with socket.socket() as probe, suppress(OSError):
             port = next(_ports)
@@ -47,7 +47,7 @@ def free_port() -> int:
 
 
 def dialling(folder: Path, endpoint: str, **more: Any) -> str:
-    """A Zenoh file of a gateway that dials this."""
+    """Return a Zenoh file of a gateway that dials this."""
     path = folder / "dialling.json5"
     path.write_text(json.dumps({"connect": {"endpoints": [endpoint]}, **more}))
     return str(path)
@@ -111,7 +111,7 @@ class Gateway(Closing):
         self.child.close()
 
     def client(self, *, source: str | None = "test") -> Client:
-        """A client of it, in this process."""
+        """Return a client of it, in this process."""
         return Client(self.endpoint, source=source, timeout_s=20)
 
     def run(self, *arguments: str, timeout_s: float = 60) -> Ended:

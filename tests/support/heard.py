@@ -52,7 +52,7 @@ class Heard(Generic[R]):
             return list(self._reports)
 
     def each(self, *, timeout_s: float = 90) -> Iterator[R]:
-        """One report after the other as they come. Raises TimeoutError when none comes for `timeout_s`."""
+        """Yield one report after the other as they come. Raises TimeoutError when none comes for `timeout_s`."""
         for count in itertools.count(1):
             yield self.wait(lambda _: True, count=count, timeout_s=timeout_s)
 
@@ -75,12 +75,12 @@ class Heard(Generic[R]):
 
 
 def running(client: Client) -> list[int]:
-    """The legs all of whose servos run."""
+    """Return the legs all of whose servos run."""
     return [leg.leg for leg in client.state().legs if all(servo.running for servo in leg.servos)]
 
 
 def servos_on(state: GatewayState) -> set[int]:
-    """The servos that run."""
+    """Return the servos that run."""
     return {servo.id for leg in state.legs for servo in leg.servos if servo.running}
 
 

@@ -46,7 +46,7 @@ class Stage:
         self.failures: list[BaseException] = []
 
     def start(self, name: str, act: Callable[[], None]) -> None:
-        """One more thread."""
+        """Add one more thread."""
 
         def run() -> None:
             self.point()
@@ -153,7 +153,7 @@ class Ring:
         return self.items.popleft() if self.items else None
 
     def undeclare(self) -> None:
-        """The stage's end ends it."""
+        """Do nothing: the stage's end ends it."""
 
 
 class Wakeups:
@@ -241,7 +241,7 @@ class SteppedLoop:
             self.step()
 
     def step(self) -> bool:
-        """The next that is to be done; false: there is nothing."""
+        """Return the next that is to be done; false: there is nothing."""
         if self._ready:
             self._ready.popleft().run()
         elif self._next_s < math.inf:

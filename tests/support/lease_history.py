@@ -27,7 +27,7 @@ class LeaseHistory:
         """Whether somebody has acquired it in this step."""
 
     def key(self, now_ns: int) -> tuple[object, ...]:
-        """What of it still matters; one token is as good as another."""
+        """Return what of it still matters; one token is as good as another."""
         left_ns = None if self.due_ns is None else self.due_ns - now_ns
         return self.holder, self.token is not None, self.old_token is not None, left_ns, self.askers
 

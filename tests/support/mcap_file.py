@@ -38,7 +38,7 @@ def checked(path: Path) -> Iterator[tuple[str, Any]]:
 
 
 def read(path: Path) -> Iterator[RecordedMessage]:
-    """The JSON messages, in the file's order."""
+    """Yield the JSON messages, in the file's order."""
     with path.open("rb") as file:
         for _, channel, message in make_reader(file).iter_messages(log_time_order=False):
             if channel.message_encoding == "json":
@@ -46,7 +46,7 @@ def read(path: Path) -> Iterator[RecordedMessage]:
 
 
 def whole(path: Path) -> Iterator[tuple[str, Any]]:
-    """The JSON messages of a file that was cut off, which has no index."""
+    """Yield the JSON messages of a file that was cut off, which has no index."""
     topics: dict[int, str] = {}
     with path.open("rb") as file, suppress(EndOfFile):
         for record in StreamReader(file).records:
@@ -57,7 +57,7 @@ def whole(path: Path) -> Iterator[tuple[str, Any]]:
 
 
 def about(path: Path) -> dict[str, Any]:
-    """What the file says of its gateway."""
+    """Return what the file says of its gateway."""
     with path.open("rb") as file:
         found = {each.name: each.metadata for each in make_reader(file).iter_metadata()}
     return {name: json.loads(value) for name, value in found.get(METADATA, {}).items()}

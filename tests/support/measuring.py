@@ -40,7 +40,7 @@ _PERIOD_S: Final = 0.1
 
 
 def measures(client: Client, telemetry: Telemetry) -> AbstractContextManager[None]:
-    """A robot that measures this, ten times a second."""
+    """Return a robot that measures this, ten times a second."""
     return meanwhile(lambda: client.session.put(keys.TELEMETRY, telemetry.model_dump_json()), _PERIOD_S)
 
 

@@ -12,7 +12,7 @@ _OF: Final = re.compile(r"^For a robot ", re.MULTILINE)
 
 
 def documented(robot: str = "") -> Described:
-    """What the docs list for every robot, or for one "that measures" or "with a power board"."""
+    """Return what the docs list for every robot, or for one "that measures" or "with a power board"."""
     always, *further = _OF.split(_DOCS.read_text())
     (section,) = [each for each in further if each.startswith(robot)] if robot else [always]
     rows = re.findall(r"^\| `((?:hexapod|process)_\w+)` \| (\w+) \| (.*?) \|", section, re.MULTILINE)
@@ -20,7 +20,7 @@ def documented(robot: str = "") -> Described:
 
 
 def described(page: str) -> Described:
-    """What a page has."""
+    """Return what a page has."""
     found = set()
     for each in text_string_to_metric_families(page):
         labels = frozenset(label for sample in each.samples for label in sample.labels) - {"le"}

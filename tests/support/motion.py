@@ -63,7 +63,7 @@ class LandingHistory:
     parts_ns: dict[int, int]
 
     def key(self, now_ns: int) -> tuple[object, ...]:
-        """What of it still matters."""
+        """Return what of it still matters."""
         parts = tuple(sorted(self.parts_ns.items()))
         return now_ns - self.began_ns, self.ends_ns - now_ns, tuple(self.ways_cdeg.items()), parts
 

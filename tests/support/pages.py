@@ -38,13 +38,13 @@ def section(page: str, heading: str) -> str:
 
 
 def commands(name: str, heading: str) -> list[str]:
-    """The lines of a section's shell blocks, of a page of docs/, for bash."""
+    """Return the lines of a section's shell blocks, of a page of docs/, for bash."""
     page = section((DOCS / name).read_text(), heading)
     return [line for block in blocks(page, "sh") for line in block.splitlines()]
 
 
 def programs(folder: Path, **texts: str) -> str:
-    """These programs in a folder; what PATH begins with, then."""
+    """Return these programs in a folder; what PATH begins with, then."""
     folder.mkdir(exist_ok=True)
     for name, text in texts.items():
         (folder / name).write_text(text)
@@ -79,7 +79,7 @@ def parse_commands(text: str) -> list[list[str]]:
 
 
 def texts(source: str, shown: Callable[[ast.expr], str]) -> list[str]:
-    """The strings of a module but its docstrings, each on one line, and each value in them as `shown` has it."""
+    """Return the strings of a module but its docstrings, each on one line, and each value in them as `shown` has it."""
     tree = ast.parse(source)
     inner = {id(part) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in node.values}
     inner |= {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
@@ -94,7 +94,7 @@ def texts(source: str, shown: Callable[[ast.expr], str]) -> list[str]:
 
 
 def _words(rest: str) -> list[str]:
-    """The words up to where the sentence goes on."""
+    """Return the words up to where the sentence goes on."""
     command = program()
     words: list[str] = []
     value, arguments = False, list[Any]()

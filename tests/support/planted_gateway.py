@@ -25,7 +25,7 @@ def _late_watchdog(by_ms: int) -> Callable[[Rules], Supervisor]:
 
 
 def _changed(change: Change) -> type[Supervisor]:
-    """A supervisor that wants other things done."""
+    """Return a supervisor that wants other things done."""
 
     class Changed(Supervisor):
         def step(self, event: Event, now_ns: int, instant_ns: int | None = None) -> list[Effect]:

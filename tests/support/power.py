@@ -65,7 +65,7 @@ class Link:
     # ---- what happened
 
     def masks(self, since_ns: int = 0) -> list[tuple[float, int]]:
-        """The masks that we sent: milliseconds since then, and mask."""
+        """Return the masks that we sent: milliseconds since then, and mask."""
         found = ((at_ns, frame) for at_ns, frame in self.sent if frame.id == 0x6A and at_ns >= since_ns)
         return [((at_ns - since_ns) / NS_PER_MS, int.from_bytes(frame.data, "big")) for at_ns, frame in found]
 
@@ -76,7 +76,7 @@ class Link:
         return (item for _, item in self.told if isinstance(item, Confirmed))
 
     def fed(self) -> frozenset[int]:
-        """The servos that have supply, in truth."""
+        """Return the servos that have supply, in truth."""
         return frozenset(servo for place, servo in enumerate(self._outputs) if self.board.fed >> place & 1)
 
     # ---- what the owner does
@@ -99,7 +99,7 @@ class Link:
         self.catch_up()
 
     def catch_up(self) -> None:
-        """What is due before and behind a call happens when the test runs the link."""
+        """Do nothing: what is due before and after a call happens when the test runs the link."""
 
     # ---- time
 
@@ -178,7 +178,7 @@ class Link:
 
 
 def fed() -> Link:
-    """A link whose board feeds all servos, and is at rest."""
+    """Return a link whose board feeds all servos, and is at rest."""
     link = Link()
     link.want(ALL_SERVOS)
     link.run(1500)
@@ -226,7 +226,7 @@ class VirtualLine(Link):
 
 
 def running(robot: Robot) -> list[int]:
-    """The servos that run, as the state says it."""
+    """Return the servos that run, as the state says it."""
     return [each.id for leg in robot.state().legs for each in leg.servos if each.running]
 
 
@@ -243,7 +243,7 @@ class _Fed(Robot):
         return cast(PowerLine, self.line)
 
     def _check(self) -> None:
-        """The service's."""
+        """Beat as the service does."""
         self.conductor.check_outside()
         self.loop.call_later(BEAT_S, self._check)
 

@@ -30,7 +30,7 @@ def state(
     running: Collection[int] = (),
     started_s: float = 0.0,
 ) -> GatewayState:
-    """A state of the gateway that was started at `started_s`, as far as `WALL` goes. `running`: these legs."""
+    """Return a state of the gateway that was started at `started_s`, as far as `WALL` goes. `running`: these legs."""
     return GatewayState(
         mode=mode,
         time=WALL + timedelta(seconds=started_s + uptime_s),

@@ -64,13 +64,13 @@ class RclpyPeer(Closing):
         self.child.close()
 
     def __getattr__(self, command: str) -> Callable[..., Any]:
-        """A command of `Actor`'s, as its method of that name."""
+        """Have `Actor` carry out its method of that name."""
         if command.startswith("_"):
             raise AttributeError(command)
         return partial(self._ask, command)
 
     def next(self, topic: str, condition: Any = lambda _: True) -> Any:
-        """The next message of a topic for which it holds."""
+        """Return the next message of a topic for which it holds."""
         end_s = time.monotonic() + ANSWER_S
         while time.monotonic() < end_s:
             message = pickle.loads(bytes.fromhex(self._ask("next", topic)))  # noqa: S301 - our own process's
@@ -96,7 +96,7 @@ class RclpyPeer(Closing):
 
 
 def _sent(argument: Any) -> object:
-    """A message's type by its name, a message packed."""
+    """Return a message's type by its name, a message packed."""
     if isinstance(argument, type):
         return argument.TYPE  # type: ignore[attr-defined]
     return packed(argument) if isinstance(argument, Message) else argument
@@ -152,12 +152,12 @@ class Actor:
         wait_until(lambda: publisher.get_subscription_count() > 0, "somebody subscribes there", ANSWER_S)
 
     def publish(self, topic: str, message: str, serialized: bool = False) -> None:
-        """One message of a topic that is advertised; `serialized`: with bytes behind the last field, too."""
+        """Publish a message of an advertised topic; `serialized`: with bytes behind the last field, too."""
         made = self._to_ros(pickle.loads(bytes.fromhex(message)))  # noqa: S301 - our own test's
         self._publishers[topic].publish(self._serialization.serialize_message(made) if serialized else made)
 
     def publish_empty(self, topic: str) -> None:
-        """One std_msgs/Empty."""
+        """Publish one std_msgs/Empty."""
         self.advertise(topic, "std_msgs/msg/Empty")
         self._publishers[topic].publish(_ros_type("std_msgs/msg/Empty")())
 
@@ -176,12 +176,12 @@ class Actor:
         return self._received[topic].get(timeout=ANSWER_S / 2)
 
     def call(self, service: str) -> tuple[bool, str]:
-        """A Trigger's `success` and `message`."""
+        """Return a Trigger's `success` and `message`."""
         response = self._request(TRIGGER, service)
         return bool(response.success), str(response.message)
 
     def change_state(self, label: str) -> bool:
-        """A transition of the bridge's lifecycle, such as `deactivate`: whether it succeeded."""
+        """Do a transition of the bridge's lifecycle, such as `deactivate`. Return whether it succeeded."""
         transition = import_module("lifecycle_msgs.msg").Transition(label=label)
         return bool(
             self._request("lifecycle_msgs/srv/ChangeState", f"{NODE}/change_state", transition=transition).success
@@ -195,7 +195,7 @@ class Actor:
         return import_module("rclpy.parameter").parameter_value_to_python(found)
 
     def set_parameter(self, name: str, value: bool | float) -> tuple[bool, str]:
-        """Whether it was set, or why not."""
+        """Return whether it was set, or why not."""
         wanted = import_module("rclpy.parameter").Parameter(name, value=value).to_parameter_msg()
         kind, service = "rcl_interfaces/srv/SetParameters", f"{NODE}/set_parameters"
         (result,) = self._request(kind, service, parameters=[wanted]).results

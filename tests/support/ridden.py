@@ -83,7 +83,7 @@ class Ridden:
     # ---- the shell
 
     def tick(self, seconds: float = TICK_S) -> RideStep:
-        """One turn, so long after the one before; what it did last."""
+        """Take one turn, so long after the one before. Return what it did last."""
         self.now_s += seconds
         self._watch()
         for _ in range(5):  # questions and Stops, before a setpoint
@@ -174,7 +174,7 @@ class Ridden:
             self.stop()
 
     def _sink(self) -> None:
-        """Whether the legs that run hold the body up; once it lies, only all six lift it."""
+        """Note whether the legs that run hold the body up; once it lies, only all six lift it."""
         if len(self.running) < 3 or (self.lies and len(self.running) < len(LEGS)):
             self.lies = True
             return
@@ -211,5 +211,5 @@ def _stood(silences: Silences, robot: Robot) -> Ridden:
 
 
 def standing(silences: Silences = USUAL_SILENCES, robot: Robot = ROBOT) -> Ridden:
-    """A program's, that has stood up."""
+    """Return a program's ride, which has stood up."""
     return _stood(silences, robot).copy()

@@ -10,7 +10,7 @@ from gateway.people.incidents import ring_reader
 
 
 def parse(data: bytes) -> ring_reader.Records:
-    """The records, oldest first. Raises NoRingError."""
+    """Return the records, oldest first. Raises NoRingError."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "ring")
         path.write_bytes(data)

@@ -89,7 +89,7 @@ class Robot:
         self._beat()
 
     def wire(self) -> Wire:
-        """Its way to the controller."""
+        """Return its way to the controller."""
         self.bus = Bus(self.settings.spi, self._open, clock=self.now_ns, pause=self._pause)
         return self.bus
 
@@ -105,16 +105,16 @@ class Robot:
         self.controller.transfer = one_by_one  # type: ignore[method-assign]
 
     def power_line(self) -> PowerLine | None:
-        """Its power board's; None: no board."""
+        """Return its power board's; None: no board."""
         return None
 
     def _beat(self) -> None:
-        """The service's."""
+        """Beat as the service does."""
         self.conductor.record_alive()
         self.loop.call_later(BEAT_S, self._beat)
 
     def sleep_through(self, seconds: float) -> None:
-        """The whole process is stopped for so long, between two turns of its loop."""
+        """Stop the whole process for so long, between two turns of its loop."""
         self._instants += round(seconds * 1e9)
 
     def _open(self) -> FaultyController:
@@ -122,18 +122,18 @@ class Robot:
         return self.controller
 
     def _pause(self, duration_s: float) -> None:
-        """The bus's pause: virtual time cannot pass within a call, so what is due later comes late by as much."""
+        """Pause as the bus: virtual time cannot pass within a call, so what is due later comes late by as much."""
         self._instants += round(duration_s * 1e9)
 
     def now_ns(self) -> int:
         return round(self.loop.time() * 1e9) + self._instants
 
     def publish(self, key: str, report: BaseModel) -> None:
-        """The outbox's side."""
+        """Take what the outbox gets."""
         self.reports.append((key, report))
 
     def take(self) -> Iterator[Received]:
-        """The inbox's side."""
+        """Yield the inbox's side."""
         taken, self._waiting = self._waiting, []
         for received in taken:
             if received.key == keys.ESTOP:
@@ -145,13 +145,13 @@ class Robot:
     # ---- commands
 
     def put(self, key: str, payload: object = b"", **more: Any) -> None:
-        """A message on `key`, in an instant of its own. `more` overrides fields of Received."""
+        """Put a message on `key`, in an instant of its own. `more` overrides fields of Received."""
         self._instants += 1
         self.put_later(key, payload, **more)
         self.conductor.tick()
 
     def put_later(self, key: str, payload: object = b"", **more: Any) -> None:
-        """A message that waits for the next tick."""
+        """Put a message that waits for the next tick."""
         data = payload if isinstance(payload, bytes) else json.dumps(payload).encode()
         fields: dict[str, Any] = {
             "key": key,
@@ -167,38 +167,38 @@ class Robot:
         self._waiting.append(Received(**{**fields, **more}))
 
     def get(self, key: str, payload: object = b"", **more: Any) -> list[Ack]:
-        """An acknowledged command; the list that its answer will be in."""
+        """Put an acknowledged command. Return the list that its answer will be in."""
         self._instants += 1
         answers = self.ask_later(key, payload, **more)
         self.conductor.tick()
         return answers
 
     def ask_later(self, key: str, payload: object = b"", **more: Any) -> list[Ack]:
-        """The same, waiting for the next tick."""
+        """Return the same, waiting for the next tick."""
         answers: list[Ack] = []
         take = answers.append
         self.put_later(key, payload, verb=Verb.GET, reply=lambda data: take(Ack.model_validate_json(data)), **more)
         return answers
 
     def ask(self, key: str, payload: object = b"", **more: Any) -> Ack:
-        """An acknowledged command that is answered at once."""
+        """Put an acknowledged command that is answered at once."""
         (ack,) = self.get(key, payload, **more)
         return ack
 
     def lease(self, do: str, source: str | None = None, **more: Any) -> LeaseAck:
-        """A request for the lease, and its answer."""
+        """Make a request for the lease. Return its answer."""
         fields = {"do": do, **({} if source is None else {"source": source}), **more}
         (ack,) = self._request(self.leases, LeaseAck, fields)
         return ack
 
     def button(self, do: str, source: str | None = None, **more: Any) -> ButtonAck:
-        """A button's request, and its answer."""
+        """Make a button's request. Return its answer."""
         fields = {"do": do, **({} if source is None else {"source": source}), **more}
         (ack,) = self._request(self.buttons, ButtonAck, fields)
         return ack
 
     def calibrate(self, payload: object) -> list[Ack]:
-        """A change of the calibration; the list that its answer will be in."""
+        """Request a change of the calibration. Return the list that its answer will be in."""
         return self._request(self.calibrations, Ack, payload)
 
     def _request(self, of: RequestAnswers, kind: type[A], payload: object) -> list[A]:
@@ -223,13 +223,13 @@ class Robot:
         ]
 
     def state(self) -> GatewayState:
-        """What it would publish now."""
+        """Return what it would publish now."""
         config = self.conductor.reports.config()
         return joined(self.conductor.reports.state(config), config)
 
     @property
     def states(self) -> list[GatewayState]:
-        """The states that were published, with their configurations."""
+        """Return the states that were published, with their configurations."""
         now = self.conductor.reports.config()
         configs = {now.config: now}
         configs |= {each.config: each for _, each in self.reports if isinstance(each, ConfigReport)}
@@ -246,7 +246,7 @@ class Robot:
 
 
 def started(**sections: Mapping[str, Any]) -> Robot:
-    """A robot whose gateway takes commands; its start's frames and their repeats are forgotten."""
+    """Return a robot whose gateway takes commands; its start's frames and their repeats are forgotten."""
     robot = Robot(sections)
     robot.conductor.start()
     robot.conductor.reports.announce_start()
@@ -254,7 +254,7 @@ def started(**sections: Mapping[str, Any]) -> Robot:
 
 
 async def started_and_quiet(**sections: Mapping[str, Any]) -> Robot:
-    """The same, after the Stops at the start and all that follow them, with nothing recorded yet."""
+    """Return the same, after the Stops at the start and all that follow them, with nothing recorded yet."""
     robot = started(**sections)
     await asyncio.sleep(6)
     robot.controller.transfers.clear()
@@ -263,7 +263,7 @@ async def started_and_quiet(**sections: Mapping[str, Any]) -> Robot:
 
 
 def leg(op: str, *angles_deg: float, **more: Any) -> dict[str, Any]:
-    """A LegCommand."""
+    """Return a LegCommand."""
     servos = [{"op": op, "angle_deg": angle_deg} for angle_deg in angles_deg] or [{"op": op}] * 3
     return {"servos": servos, **more}
 
@@ -273,5 +273,5 @@ START = leg("start", 90, 90, 90)
 
 
 def servo(op: str, angle_deg: float | None = None, **more: Any) -> dict[str, Any]:
-    """A ServoCommand."""
+    """Return a ServoCommand."""
     return {"op": op, **({} if angle_deg is None else {"angle_deg": angle_deg}), **more}

@@ -10,7 +10,7 @@ from gateway.people.ros2.messages import Header, Message, Time, Twist, message_t
 
 
 def _type(type_name: str, **defaults: Any) -> type[Message]:
-    """A type whose messages have all these fields, as those that rclpy hands to the bridge."""
+    """Return a type whose messages have all these fields, as those that rclpy hands to the bridge."""
     made = message_type(type_name, " ".join(defaults), __name__)
     for name, value in defaults.items():
         setattr(made, name, value)
@@ -25,7 +25,7 @@ STORE: Final = get_typestore(Stores.ROS2_JAZZY)
 
 
 def replace(message: Message, **fields: Any) -> Any:
-    """The message, with other values in these fields."""
+    """Return the message, with other values in these fields."""
     return type(message)(**vars(message) | fields)
 
 
@@ -44,5 +44,5 @@ def plain(found: Any) -> Any:
 
 
 def decode(kind: type[Message], data: bytes) -> Any:
-    """A message's bytes, as rosbags reads them."""
+    """Return a message's bytes, as rosbags reads them."""
     return plain(STORE.deserialize_cdr(data, kind.TYPE))

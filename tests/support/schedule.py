@@ -61,7 +61,7 @@ def shuffle(items: list[pytest.Item], seed: int) -> None:
 
 
 def is_elsewhere(path: Path, marks: str) -> bool:
-    """Whether a file has no test that this expression of `pytest -m` wants; to import it would take its time."""
+    """Return whether a file has no test that this expression of `pytest -m` wants; to import it would take its time."""
     if path.suffix != ".py":
         return False
     text = path.read_text(encoding="utf-8")
@@ -83,7 +83,7 @@ def give_way(process: int) -> None:
 
 
 def group(nodeid: str) -> str:
-    """What runs on one worker, one after the other."""
+    """Return what runs on one worker, one after the other."""
     file = _file(nodeid)
     if _is_among(file, APART):
         return nodeid
@@ -93,7 +93,7 @@ def group(nodeid: str) -> str:
 
 
 def _file(nodeid: str) -> str:
-    """Its file, from the folder in tests/ on."""
+    """Return its file, from the folder in tests/ on."""
     return nodeid.partition("::")[0].removeprefix("tests/")
 
 

@@ -45,12 +45,12 @@ class Secured(Closing):
         return Client(None, zenoh_config=self.folder / f"{name}.json5", source=name, timeout_s=20)
 
     def raw(self, name: str, **overrides: Any) -> zenoh.Config:
-        """A laptop's own configuration, with its paths resolved, and changed as a stranger might."""
+        """Return a laptop's own configuration, with its paths resolved, and changed as a stranger might."""
         made = load_config(self.folder / f"{name}.json5")
         for key, value in overrides.items():
             made.insert_json5(key, json.dumps(value))
         return made
 
     def session(self, name: str, **overrides: Any) -> zenoh.Session:
-        """A session with that certificate, and nothing of ours besides."""
+        """Return a session with that certificate, and nothing of ours besides."""
         return zenoh.open(self.raw(name, **overrides))

@@ -29,7 +29,7 @@ _TAKEN: Final = (
 def _opened(
     stays: frozenset[Mode], more: Mapping[type[events.Event], frozenset[Mode]], estopped: Mode = Mode.ESTOPPED
 ) -> dict[type[events.Event], frozenset[Mode]]:
-    """A mode of a bus that was opened once: what is taken leads to `stays`, except for `more`."""
+    """Return a mode of a bus that was opened once: what is taken leads to `stays`, except for `more`."""
     ends: dict[type[events.Event], frozenset[Mode]] = {
         events.EmergencyStop: frozenset({estopped}),
         events.BusFailed: _FAULT,

@@ -26,7 +26,7 @@ copyreg.pickle(MappingProxyType, lambda proxy: (MappingProxyType, (dict(proxy),)
 
 
 def legs_that_carry(engine: Engine) -> frozenset[int]:
-    """Those whose feet are on the ground, and not about to leave it."""
+    """Return those whose feet are on the ground, and not about to leave it."""
     state = engine.state
     move = state.moves[0] if state.moves else None
     away = set(state.swings) | (set() if move is None or isinstance(move, Shift) else set(move.paths))
@@ -46,7 +46,7 @@ class Walked:
         self.velocity = STILL
 
     def tick(self, velocity: Velocity = STILL) -> None:
-        """One tick, and the checks."""
+        """Do one tick, and the checks."""
         before_feet, stood = dict(self.engine.state.feet), legs_that_carry(self.engine)
         before_ground = {leg: self._on_the_floor(leg) for leg in before_feet}
         walked = self.engine.posture in (Posture.STANDING, Posture.WALKING)
@@ -81,7 +81,7 @@ class Walked:
         return deepcopy(self, {id(self.robot): self.robot})
 
     def _on_the_floor(self, leg: int) -> tuple[float, float]:
-        """Where a foot is on a floor that does not move with the robot."""
+        """Return where a foot is on a floor that does not move with the robot."""
         at, (x, y, _) = self.engine.state.odometry, self.engine.state.feet[leg]
         cosine, sine = math.cos(at.heading_rad), math.sin(at.heading_rad)
         return at.x_m + cosine * x - sine * y, at.y_m + sine * x + cosine * y

@@ -95,7 +95,7 @@ class Forked:
         return self.returncode
 
     def wait(self, timeout: float | None = None) -> int:
-        """Its exit status, negative for a signal. Raises subprocess.TimeoutExpired."""
+        """Return its exit status, negative for a signal. Raises subprocess.TimeoutExpired."""
         ended = select.poll()
         if (number := self._end.fileno()) >= 0:  # else another thread has closed it
             ended.register(number, select.POLLIN)
@@ -146,7 +146,7 @@ _making: Final = threading.Lock()
 
 
 def _server(env: Mapping[str, str]) -> _Server:
-    """One that has the libraries and the run's mark of a program with `env`, and ends with this process."""
+    """Return one that has the libraries and the run's mark of a program with `env`, and ends with this process."""
     preload, mark = env.get("LD_PRELOAD", ""), env.get(MARK, "")
     key = (str(os.getpid()), preload, mark)
     with _making:

@@ -35,7 +35,7 @@ def file(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A black box's; its ring is beside it."""
+    """Return a black box's; its ring is beside it."""
     monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)
     made = tmp_path / "state"

@@ -56,7 +56,7 @@ def gateway(tmp_path: Path) -> zenoh.Config:
 
 
 def allowed(made: zenoh.Config, role: str) -> set[Said]:
-    """All messages that a client with this common name may send or receive, by Zenoh's documented rules."""
+    """Return all messages that a client with this common name may send or receive, by Zenoh's documented rules."""
     control = get(made, "access_control")
     assert (control["enabled"], control["default_permission"]) == (True, "deny")
     subjects = {each["id"] for each in control["subjects"] if role in (each.get("cert_common_names") or [each["id"]])}

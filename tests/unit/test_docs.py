@@ -88,7 +88,7 @@ PROGRAMS: Final = {"AsyncClient.lease", "AsyncWalk.go", "Ack.or_raise", "Stream.
 
 @pytest.fixture(scope="module")
 def shown() -> set[str]:
-    """The names on the page of `gateway.client`, of the site as `make docs` builds it."""
+    """Return the names on the page of `gateway.client`, of the site as `make docs` builds it."""
     built = subprocess.run(
         [sys.executable, "-m", "zensical", "build", "--strict", "--clean", "--config-file", "mkdocs.yml"],
         cwd=ROOT,

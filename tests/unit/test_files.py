@@ -161,7 +161,7 @@ def test_toml_with_a_byte_order_mark() -> None:
 
 
 def with_replacing(path: Path, data: bytes) -> None:
-    """As those do it who write piece by piece."""
+    """Write piece by piece."""
     with durable.replacing(path) as staged:
         staged.write_bytes(data)
         durable.sync(staged)

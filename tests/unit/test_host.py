@@ -80,7 +80,7 @@ def test_without_a_folder_it_is_nothing(tmp_path: Path, caplog: pytest.LogCaptur
 
 @contextmanager
 def notifier(**environment: str) -> Iterator[SystemdNotifier]:
-    """A notifier in this environment. A service's socket closes with its process."""
+    """Yield a notifier in this environment. A service's socket closes with its process."""
     made = SystemdNotifier(environment)
     with nullcontext() if made._socket is None else made._socket:
         yield made
@@ -225,7 +225,7 @@ def test_the_root_of_a_chroot_need_not_be_a_mount_point() -> None:
 
 
 def sensed(number: float) -> Sensed:
-    """One whose 34 numbers all differ."""
+    """Return one whose 34 numbers all differ."""
     values = [number + place / 64 for place in range(34)]
     return Sensed(
         (values[0], values[1], values[2], values[3]),
@@ -269,7 +269,7 @@ class Pipe:
         os.set_blocking(self.theirs, blocking)
 
     def lines(self) -> Iterator[str]:
-        """What was written since it was full."""
+        """Return the lines written since it was full."""
         return (line.rstrip("\n") for line in self.reader if not line.startswith("."))
 
     def close(self) -> None:
@@ -346,7 +346,7 @@ USED = Settings.of(
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The service's runtime directory."""
+    """Return the service's runtime directory."""
     monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
     monkeypatch.delenv("INVOCATION_ID", raising=False)
     return tmp_path

@@ -19,7 +19,7 @@ INTERFACE = (ROOT / "docs" / "interface.md").read_text()
 
 
 def rows(heading: str) -> list[list[str]]:
-    """The cells of the table below a heading, its head left out."""
+    """Return the cells of the table below a heading, its head left out."""
     _, _, section = INTERFACE.partition(f"\n{heading}\n")
     assert section, f"docs/interface.md has no heading {heading!r}"
     table = re.search(r"(?:^\|.*\n)+", section.partition("\n#")[0] + "\n", re.MULTILINE)
@@ -29,7 +29,7 @@ def rows(heading: str) -> list[list[str]]:
 
 
 def names(heading: str) -> list[str]:
-    """The first column, without its backticks."""
+    """Return the first column, without its backticks."""
     return [row[0].strip("`") for row in rows(heading)]
 
 

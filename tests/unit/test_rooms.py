@@ -74,7 +74,7 @@ def room_of_file(path: Path) -> str:
 
 @cache
 def imported(path: Path) -> frozenset[str]:
-    """The modules that a file imports, wherever in it that stands; `from a import b` as `a` and `a.b`."""
+    """Return the modules that a file imports, wherever in it that stands; `from a import b` as `a` and `a.b`."""
     found: set[str] = set()
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):

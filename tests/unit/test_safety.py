@@ -16,7 +16,7 @@ PAGE: Final = (ROOT / "docs" / "safety.md").read_text(encoding="utf-8")
 
 @cache
 def _marks(text: str) -> dict[str, list[str]]:
-    """The marks of each of a file's tests."""
+    """Return the marks of each of a file's tests."""
     tests = [node for node in ast.parse(text).body if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)]
     return {test.name: [ast.unparse(mark) for mark in test.decorator_list] for test in tests}
 

@@ -32,7 +32,7 @@ WHEN = datetime(2026, 11, 26, 22, 0, 0, 123456, UTC)
 
 
 def fullest(source: str) -> StateReport:
-    """Every field as long as it can be; each leg has another source, which begins with a number."""
+    """Return every field as long as it can be; each leg has another source, which begins with a number."""
 
     def name(number: int) -> str:
         return f"{number:02}{source}"[:64]

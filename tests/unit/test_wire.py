@@ -38,7 +38,7 @@ RECORDED = [
 
 
 def from_the_future(value: Any) -> Any:
-    """The same with a new field in every object, and every word that a list of known ones has changed.
+    """Return the same with a new field in every object, and every word that a list of known ones has changed.
 
     Where an object's names are servos it stays as it is: there are no others.
     """
@@ -53,7 +53,7 @@ def from_the_future(value: Any) -> Any:
 
 
 def contains(whole: Any, part: Any) -> bool:
-    """Whether everything in `part` stands in `whole` too."""
+    """Return whether everything in `part` stands in `whole` too."""
     if isinstance(part, dict):
         return all(name in whole and contains(whole[name], inner) for name, inner in part.items())
     if isinstance(part, list):

@@ -69,7 +69,7 @@ class Board:
         return [self._registers[register + step * place] for place in range(count)]
 
     def pulse_us(self, channel: int) -> float | None:
-        """The pulse at an output; None: it is low."""
+        """Return the pulse at an output; None: it is low."""
         on_low, on_high, off_low, off_high = self._registers[_LED0 + 4 * channel :][:4]
         if off_high & _FULL or self._registers[_MODE1] & _SLEEP:
             return None
@@ -148,7 +148,7 @@ def wire(kind: type[ServoWire], monkeypatch: pytest.MonkeyPatch) -> WireSettings
 
 
 def pulses(bus: I2cBus) -> dict[int, float | None]:
-    """What each servo gets, in µs."""
+    """Return what each servo gets, in µs."""
     places = {int(servo): place for servo, place in OPTIONS["servos"].items()}
     return {servo: bus.boards[board].pulse_us(channel) for servo, (board, channel) in places.items()}
 
@@ -226,7 +226,7 @@ def test_wrong_options_are_a_sentence(kind: type[ServoWire], change: dict[str, o
 
 
 def kits_own_deg(leg: int, outward_mm: float, tangential_mm: float, up_mm: float) -> tuple[float, float, float]:
-    """The servos' angles by the formulas of the kit's own software, which rounds them to whole degrees."""
+    """Return the servos' angles by the formulas of the kit's own software, which rounds them to whole degrees."""
     coxa_mm, femur_mm, tibia_mm = 33, 90, 110
     hip = math.pi / 2 - math.atan2(tangential_mm, outward_mm)
     out_mm = outward_mm - coxa_mm * math.sin(hip)

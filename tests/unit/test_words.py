@@ -80,7 +80,7 @@ NO_PROSE: Final = re.compile(
 
 
 def prose(path: Path) -> Iterator[tuple[int, str]]:
-    """Each line of a page, or of the comments and texts of a program; without code that stands in them."""
+    """Yield each line of a page, or of the comments and texts of a program; without code that stands in them."""
     text = path.read_text()
     if path.suffix == ".md":
         texts = [(1, text)]
@@ -95,7 +95,7 @@ def prose(path: Path) -> Iterator[tuple[int, str]]:
 
 
 def found(path: Path) -> list[str]:
-    """Where one of the words stands."""
+    """Return where one of the words stands."""
     return [
         f"{path}:{number}: {hit[0]} ({instead}): {line.strip()}"
         for number, line in prose(path)

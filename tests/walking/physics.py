@@ -50,7 +50,7 @@ def run(world: World, seconds: float) -> None:
 def walk(
     world: World, engine: Engine, geometry: Geometry, wanted: Velocity, seconds: float = TICK_S, sense: Sense = blind
 ) -> None:
-    """As a gateway passes its setpoints on, 50 a second, and the time until the next."""
+    """Walk as a gateway passes setpoints on, 50 a second, with the time until the next."""
     for _ in range(round(seconds / TICK_S)):
         engine.step(wanted, TICK_S, sense(world))
         drive(world, angles_of(engine), geometry)
@@ -58,7 +58,7 @@ def walk(
 
 
 def stand_up(world: World, engine: Engine, geometry: Geometry, sense: Sense = blind) -> None:
-    """By its walk, and half a second longer."""
+    """Stand up by its walk, and wait half a second longer."""
     engine.stand()
     while engine.posture is not Posture.STANDING:
         walk(world, engine, geometry, STILL, sense=sense)
@@ -66,7 +66,7 @@ def stand_up(world: World, engine: Engine, geometry: Geometry, sense: Sense = bl
 
 
 def angles_of(engine: Engine) -> dict[int, float]:
-    """Where it sends the legs that are not lost, in degrees as commands name them."""
+    """Return where it sends the legs that are not lost, in degrees as commands name them."""
     return {
         10 * leg + joint: angle_deg
         for leg, angles in engine.pose.items()
@@ -75,7 +75,7 @@ def angles_of(engine: Engine) -> dict[int, float]:
 
 
 def stood_up(geometry: Geometry, engine: Engine, assumed: Assumed | None = None, sense: Sense = blind) -> World:
-    """A robot that stands up from where this engine lies."""
+    """Return a robot that stands up from where this engine lies."""
     world = World(geometry, assumed or Assumed())
     world.lie_down({servo_id: geometry.joint_rad(servo_id, deg) for servo_id, deg in angles_of(engine).items()})
     stand_up(world, engine, geometry, sense)
@@ -83,6 +83,6 @@ def stood_up(geometry: Geometry, engine: Engine, assumed: Assumed | None = None,
 
 
 def heading_rad(world: World) -> float:
-    """Of the body, within half a turn."""
+    """Return the body's heading, within half a turn."""
     x, y, z, w = world.body().rotation
     return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))

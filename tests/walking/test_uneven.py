@@ -30,12 +30,12 @@ Sensor = Callable[[Forces], Forces]
 
 
 def stuck(leg: int, force: float) -> Sensor:
-    """The sensor of this leg always reads this."""
+    """Return sensors of which this leg's always reads this."""
     return lambda forces: tuple(force if each == leg else read for each, read in zip(LEGS, forces, strict=True))
 
 
 def late(ticks: int = 5) -> Sensor:
-    """All of them are 0.1 s late."""
+    """Return sensors that are all 0.1 s late."""
     kept: deque[Forces] = deque(maxlen=ticks + 1)
 
     def sense(forces: Forces) -> Forces:
@@ -71,7 +71,7 @@ class Outcome(NamedTuple):
 
 
 def measured(world: World, sensor: Sensor) -> Telemetry:
-    """The body's truth as telemetry."""
+    """Return the body's truth as telemetry."""
     w, x, y, z = map(float, world.data.qpos[3:7])
     one, two, three, four, five, six = sensor(world.feet_n())
     still = (0.0, 0.0, 0.0)

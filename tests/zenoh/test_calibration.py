@@ -97,7 +97,7 @@ def test_on_a_file_system_that_a_boot_empties_it_does_not_count_as_kept(tmp_path
 
 @pytest.fixture(autouse=True)
 def _runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A login of its own: what a shell's lease leaves behind."""
+    """Give the test a login of its own, for what a shell's lease leaves behind."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
 
 

@@ -68,7 +68,7 @@ def test_as_json_the_same_is_for_programs(tmp_path: Path) -> None:
 
 @pytest.fixture
 def taken() -> Iterator[int]:
-    """A port of the loopback on which another program listens, and over UDP as well."""
+    """Yield a port of the loopback on which another program listens, and over UDP as well."""
     with socket.socket() as listener, socket.socket(type=socket.SOCK_DGRAM) as holder:
         listener.bind(("127.0.0.1", 0))
         listener.listen()
@@ -128,20 +128,20 @@ def move(gateway: Gateway, monkeypatch: pytest.MonkeyPatch) -> Callable[..., End
 
 @contextmanager
 def moving(gateway: Gateway, heard: Heard[FrameRecord], after: Op = Op.SET) -> Iterator[Child]:
-    """A process that has just started servo 61, or set it."""
+    """Yield a process that has just started servo 61, or set it."""
     with gateway.begin("check", "--move", "--yes") as child:
         heard.wait(lambda record: decode(bytes.fromhex(record.bytes)) == OneServo(61, ServoOp(after, 9000)))
         yield child
 
 
 def until_stopped(heard: Heard[FrameRecord], servo_id: int) -> list[OneServo]:
-    """What was written for single servos, up to the Stop for this one."""
+    """Return what was written for single servos, up to the Stop for this one."""
     heard.wait(lambda record: decode(bytes.fromhex(record.bytes)) == OneServo(servo_id, ServoOp(Op.STOP)))
     return servo_frames(heard)
 
 
 def servo_frames(heard: Heard[FrameRecord]) -> list[OneServo]:
-    """What was written for single servos by command, repeats of one target once."""
+    """Return what was written for single servos by command, repeats of one target once."""
     found = [decode(bytes.fromhex(record.bytes)) for record in heard.all if record.cause == Cause.COMMAND]
     servo = [frame for frame in found if isinstance(frame, OneServo)]
     return [frame for place, frame in enumerate(servo) if not place or servo[place - 1] != frame]

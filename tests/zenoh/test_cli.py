@@ -171,7 +171,7 @@ def test_what_cannot_be_done_has_its_exit_code_and_says_what_is_right(
 
 
 def helps(command: Any, above: str = "", name: str = "hexapod-gateway") -> Iterator[tuple[str, str, Any]]:
-    """Each command's name, its help with that of the groups around it, and its parameters."""
+    """Yield each command's name, its help with that of the groups around it, and its parameters."""
     text = f"{above}{command.help}"
     for part, each in getattr(command, "commands", {}).items():
         yield from helps(each, text, f"{name} {part}")

@@ -51,7 +51,7 @@ async def running(client: AsyncClient) -> list[int]:
 
 
 def public(kind: type) -> dict[str, list[str]]:
-    """The methods and properties of programs: each parameter with its type and default."""
+    """Return the methods and properties of programs: each parameter with its type and default."""
 
     def taken(member: Any) -> list[str]:
         parameters = {} if isinstance(member, property) else inspect.signature(member).parameters

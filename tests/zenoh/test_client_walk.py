@@ -157,7 +157,7 @@ BY_HAND = ASYNC.replace("asyncio.run(main())", "asyncio.new_event_loop().run_unt
 
 
 def seat() -> dict[int, float]:
-    """Where they are in a robot that lies on its belly with its feet on the ground, by the pure engine."""
+    """Return where they are in a robot that lies on its belly with its feet on the ground, by the pure engine."""
     engine = Engine(Robot(load()))
     for wanted in (engine.stand, engine.sit):
         wanted()
@@ -215,7 +215,7 @@ def test_the_first_sits_and_the_second_stops(
 
 
 def _sits_down(records: list[FrameRecord], stood: dict[int, float], seated: dict[int, float]) -> bool:
-    """Whether the body has sunk by a third: all six legs have bent, of which some stand in a walk."""
+    """Return whether the body has sunk by a third: all six legs have bent, of which some stand in a walk."""
     now = last_angles(records)
     knees = [10 * leg + 2 for leg in LEGS]
     return all(abs(now[knee] - stood[knee]) > abs(seated[knee] - stood[knee]) / 3 for knee in knees)

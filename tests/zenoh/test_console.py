@@ -35,7 +35,7 @@ session = session_fixture()
 
 @pytest.fixture
 def page(console: Console, session: SignedIn) -> Iterator[Page]:
-    """A page on a robot that is at rest, while nobody drives."""
+    """Yield a page on a robot that is at rest, while nobody drives."""
     with console.page(session) as opened:
         opened.state(lambda state: state["lease"]["holder"] is None)
         state = opened.state(lambda state: state["mode"] in ("idle", "estopped"))
@@ -229,7 +229,7 @@ def secured(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Secured]:
 
 
 def serving(secured: Secured, state: Path, person: str) -> Console:
-    """It listens on all addresses of this machine."""
+    """Yield a console that listens on all addresses of this machine."""
     files = [f"--cert={secured.folder / 'web.pem'}", f"--key={secured.folder / 'web.key'}"]
     config = f"--zenoh-config={secured.folder / person}.json5"
     return Console(state, *files, config, address="0.0.0.0")  # noqa: S104  (with TLS)

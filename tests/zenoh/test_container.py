@@ -59,7 +59,7 @@ def test_whatever_the_end_stops_follow(tmp_path: Path) -> None:
 
 
 def _container(folder: Path, *arguments: str) -> Child:
-    """The script in a namespace of processes of its own."""
+    """Run the script in a namespace of processes of its own."""
     program = folder / "bin/hexapod-gateway"
     program.parent.mkdir()
     program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m gateway "$@"\n')

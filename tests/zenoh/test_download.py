@@ -14,7 +14,7 @@ PACKAGE = "hexapod-gateway_1.1.0_arm64.deb"
 
 @pytest.fixture
 def download(tmp_path: Path) -> Path:
-    """A package with the sums and the signature of a release that has more files."""
+    """Return a package with the sums and the signature of a release that has more files."""
     key = tmp_path / "key"
     subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", key], check=True)
     folder = tmp_path / "download"

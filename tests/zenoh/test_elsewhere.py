@@ -34,7 +34,7 @@ print("done")
 
 
 def elsewhere(*arguments: str, **environment: str) -> Child:
-    """A command of ours there."""
+    """Run a command of ours there."""
     command = [sys.executable, "-m", "tests.support.elsewhere", "gateway", *arguments]
     return Child(command, {**os.environ, **environment})
 

@@ -21,7 +21,7 @@ TRIALS = int(os.environ.get("TRIALS", "3"))
 
 
 def start(folder: Path) -> Gateway:
-    """One after the other, on the same state directory."""
+    """Start a gateway on the state directory."""
     (folder / "state").mkdir(exist_ok=True)
     return Gateway(folder, env={"HEXAPOD_STATE__PATH": str(folder / "state")})
 

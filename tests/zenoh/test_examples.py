@@ -44,7 +44,7 @@ client = client_fixture(None, rests=True)
 
 
 def run(name: str, gateway: Gateway, *arguments: str) -> str:
-    """What an example printed; it must end well."""
+    """Return what an example printed; it must end well."""
     command = [sys.executable, str(EXAMPLES / name), "--connect", gateway.endpoint, *arguments]
     with Child(command, os.environ) as child:
         assert child.wait() == 0, child.stderr
@@ -243,12 +243,12 @@ def test_the_elkapod_whose_gait_is_killed_lands_and_is_stopped(tmp_path: Path) -
 
 
 def moves(record: FrameRecord) -> bool:
-    """Whether a program moves a servo by it."""
+    """Return whether a program moves a servo by it."""
     return record.cause is Cause.COMMAND and not is_stop(record)
 
 
 def swings(record: FrameRecord) -> bool:
-    """Whether it walks already: before that the robot stands up."""
+    """Return whether it walks already: before that the robot stands up."""
     return any(
         servo_id == 31 and op.op is not Op.STOP and op.angle_cdeg > centidegrees(SWUNG_DEG)
         for servo_id, op in decode(bytes.fromhex(record.bytes)).servos

@@ -75,7 +75,7 @@ for module in pkgutil.iter_modules(schemas.__path__, "schemas."):
 
 
 def loaded(code: str, folder: Path) -> set[str]:
-    """The modules that this loads in a Python of its own."""
+    """Return the modules that this loads in a Python of its own."""
     program = f"import sys\nbefore = set(sys.modules)\n{code}\nprint(*set(sys.modules) - before)"
     ran = subprocess.run([sys.executable, "-c", program], cwd=folder, capture_output=True, text=True, check=True)
     return set(ran.stdout.split())
@@ -106,7 +106,7 @@ def test_a_payload_needs_nothing_but_pydantic(tmp_path: Path) -> None:
 
 
 def _with_theirs(names: set[str]) -> set[str]:
-    """These distributions and all that they need."""
+    """Return these distributions and all that they need."""
     found: set[str] = set()
     pending = set(names)
     while pending:

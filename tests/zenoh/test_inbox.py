@@ -38,7 +38,7 @@ def frame_of(record: FrameRecord) -> Frame:
 
 
 def servos_of(records: list[FrameRecord], *, stop: bool) -> set[int]:
-    """The servos that commands have stopped, or started and set."""
+    """Return the servos that commands have stopped, or started and set."""
     found = [frame_of(record) for record in records if record.cause == Cause.COMMAND]
     return {servo_id for frame in found if frame.is_stop is stop for servo_id, _ in frame.servos}
 

@@ -55,7 +55,7 @@ class Held:
         )
 
     def tick(self) -> None:
-        """As owner, on any thread."""
+        """Tick as owner, on any thread."""
         self.taken += [received.key for received in self.inbox.take()]
         self.wake()
 
@@ -73,7 +73,7 @@ class Held:
         self.wakeups.clear()
 
     async def until(self, condition: Callable[[], bool]) -> None:
-        """For what a receiver thread does beside the loop."""
+        """Wait for what a receiver thread does beside the loop."""
         ends_s = time.monotonic() + PATIENCE_S
         while not condition():
             assert time.monotonic() < ends_s
@@ -85,7 +85,7 @@ class Held:
 
 @pytest.fixture
 async def session() -> AsyncIterator[zenoh.Session]:
-    """As the service opens it."""
+    """Yield a session as the service opens it."""
     with closing(open_session(service_config(ZenohSettings(listen=(f"tcp/127.0.0.1:{free_port()}",))))) as opened:
         yield opened
 

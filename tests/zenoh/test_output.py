@@ -45,7 +45,7 @@ gateway = gateway_fixture()
 
 @pytest.fixture(scope="module")
 def folder(gateway: Gateway, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with what the commands read: a CA, an incident, a calibration."""
+    """Return a folder with what the commands read: a CA, an incident, a calibration."""
     folder = tmp_path_factory.mktemp("read")
     certs.folder.init(folder / "certs", ["localhost"])
     certs.folder.issue(folder / "certs", "anna", certs.OPERATOR)

@@ -14,7 +14,7 @@ from gateway.robot.spi.outside import Listener, Notice
 
 @pytest.fixture
 def device(tmp_path: Path) -> Path:
-    """A file in place of the device: locks are the same on both."""
+    """Return a file in place of the device: locks are the same on both."""
     path = tmp_path / "device"
     path.touch()
     return path

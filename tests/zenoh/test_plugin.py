@@ -78,7 +78,7 @@ class Installed:
         (described / "entry_points.txt").write_text(f"[hexapod_gateway.wires]\n{NAME} = to_file:ToFile\n")
 
     def calls(self, since: int = 0) -> list[Call]:
-        """What it was called with, from the first or that one on."""
+        """Return what it was called with, from the first or that one on."""
         lines = self.path.read_text().splitlines() if self.path.exists() else []
         return [Call(process, dict(changes)) for process, changes in map(json.loads, lines[since:])]
 
@@ -98,7 +98,7 @@ def gateway(plugin: Installed, tmp_path: Path) -> Iterator[Gateway]:
 
 
 def stop_servos(gateway: Gateway, plugin: Installed) -> Child:
-    """The command in a process of its own, to its end."""
+    """Run the command in a process of its own, to its end."""
     command = [sys.executable, "-m", "gateway", "stop-servos", "--config", str(gateway.config)]
     with Child(command, plugin.env) as child:
         child.wait()

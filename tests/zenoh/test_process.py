@@ -22,7 +22,7 @@ root_only = pytest.mark.skipif(os.geteuid() != 0, reason="only root, or a servic
 
 
 def run(program: str, *prefix: str) -> str:
-    """What a program prints that has imported our module in a process of its own."""
+    """Return what a program prints that has imported our module in a process of its own."""
     command = [
         *prefix,
         sys.executable,

@@ -122,7 +122,7 @@ robot = client_fixture("a gait")
 
 @contextmanager
 def walking(robot: Client) -> Iterator[None]:
-    """Six legs move at 50 Hz meanwhile."""
+    """Move six legs at 50 Hz meanwhile."""
     step = itertools.count()
     with (
         robot.stream(HZ) as stream,

@@ -23,7 +23,7 @@ WHEN = "1700000000"
 
 
 def released(folder: Path, umask: int, when_touched_s: int) -> dict[str, bytes]:
-    """What `make dist` makes of a copy there, without a key."""
+    """Return what `make dist` makes of a copy there, without a key."""
     copy = folder / "repository"
     shutil.copytree(ROOT, copy, ignore=LEFT_OUT, symlinks=True)
     for path in copy.rglob("*"):

@@ -84,7 +84,7 @@ logging.getLogger("other.library").error("told too")
 
 
 def spoken(*options: str, program: str = SPEAKER) -> list[str]:
-    """What SPEAKER writes to a pipe."""
+    """Return what SPEAKER writes to a pipe."""
     command = [sys.executable, *options, "-c", program]
     ran = subprocess.run(command, capture_output=True, text=True, check=True, timeout=30)
     assert ran.stdout == "", "results go to stdout, the log to stderr"

@@ -113,18 +113,18 @@ def make_robot(tmp_path: Path) -> Robot:
 
 
 def shut_out(robot: Robot, file: Path) -> None:
-    """In a second, which is long for a laptop that is let in."""
+    """Return whether a laptop is shut out for a second, which is long for one that is let in."""
     with pytest.raises(ZenohError), robot.client(file, timeout_s=1) as laptop:
         laptop.state()
 
 
 def in_force(number: int) -> Callable[[GatewayState], bool]:
-    """Whether a state is of a gateway that has started with this list."""
+    """Return whether a state is of a gateway that has started with this list."""
     return lambda state: state.revocations is not None and state.revocations.number == number
 
 
 def lost(robot: Robot) -> Path:
-    """The files of anna as the thief has them."""
+    """Return the files of anna as the thief has them."""
     stolen = robot.folder.with_name("stolen")
     stolen.mkdir()
     for name in ("ca.pem", "anna.pem", "anna.key", "anna.json5"):
@@ -134,7 +134,7 @@ def lost(robot: Robot) -> Path:
 
 @pytest.fixture(scope="session")
 def in_1970(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """What LD_PRELOAD is to be."""
+    """Return what LD_PRELOAD is to be."""
     folder = tmp_path_factory.mktemp("clock")
     (folder / "clock.c").write_text(CLOCK)
     made = folder / "clock.so"
@@ -214,7 +214,7 @@ def test_without_a_state_folder_emergency_stop_and_calibration_outlast_the_start
 
 @contextmanager
 def walking(client: Client) -> Iterator[None]:
-    """All six legs at 50 Hz meanwhile, with the lease, until it is shut out."""
+    """Yield all six legs at 50 Hz meanwhile, with the lease, until it is shut out."""
     ended, begun = threading.Event(), threading.Event()
 
     def walk() -> None:

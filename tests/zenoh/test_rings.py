@@ -41,7 +41,7 @@ class Message(NamedTuple):
 
 
 def message(way: tuple[str, str], op: ServoOp) -> Message:
-    """A message of the session: what it may name of leg 1."""
+    """Return a message of the session: what it may name of leg 1."""
     return Message(*way, op, TARGETS[way[0]])
 
 
@@ -219,7 +219,7 @@ def test_only_floods_of_stops_on_keys_that_share_servos_keep_an_instant_open(
 def thinned(
     waiting: list[tuple[ServoOp, int]], verb: str = "put", depth: int = LEAST_PUT_DEPTH
 ) -> list[Message | None]:
-    """What is taken of one ring in which these operations wait, each of a servo."""
+    """Return what is taken of one ring in which these operations wait, each of a servo."""
     due = deque((0, Message(LEG, verb, op, (servo_id,))) for op, servo_id in waiting)
     return [item for _, item in ReadRings(Deliveries(due, depth=depth)).rings.read([LEG])]
 

@@ -127,7 +127,7 @@ def test_the_stop_key_works_when_the_terminal_takes_no_more_and_so_does_the_end(
 
 
 def ends_at_ctrl_c(terminal: Terminal) -> bool:
-    """One that is read together with the stop does not count."""
+    """Return whether Ctrl-C ends it; one that is read together with the stop does not count."""
     terminal.press("\x03")
     with suppress(subprocess.TimeoutExpired):
         terminal.process.wait(0.2)

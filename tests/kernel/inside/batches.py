@@ -25,7 +25,7 @@ ZERO = b"\0"
 
 
 def bus(framing: Framing) -> closing[Bus]:
-    """The gateway's bus on the device, opened."""
+    """Return the gateway's bus on the device, opened."""
     found = Bus(SpiSettings(framing=framing, speed_hz=SPEED_HZ), lambda: KernelDevice(wire.DEVICE, SPEED_HZ))
     found.open()
     return closing(found)

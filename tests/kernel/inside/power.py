@@ -66,7 +66,7 @@ def link(*arguments: str) -> None:
 
 @contextmanager
 def robot_with_board() -> Iterator[tuple[Robot, CanBoard]]:
-    """A robot whose board answers. A slow machine alone is no silence of the board: it is waited for."""
+    """Yield a robot whose board answers. A slow machine alone is no silence of the board: it is waited for."""
     link("add", OURS, "type", "vxcan", "peer", "name", THEIRS)
     for name in (OURS, THEIRS):
         link("set", name, "up")

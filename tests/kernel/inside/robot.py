@@ -27,7 +27,7 @@ class Robot:
         return [each for each in self._heard.all if str(each.kind) == kind]
 
     def start(self) -> None:
-        """All six legs, at 90 degrees."""
+        """Start all six legs, at 90 degrees."""
         ack = self.client.start_legs(dict.fromkeys(wire.SIX, (90, 90, 90)), check=False)
         assert ack.accepted, ack.detail
 

@@ -45,7 +45,7 @@ def emergency_stop(framing: Framing) -> str:
 
 
 def another_hand(request: int, value: bytes) -> None:
-    """A program opens the device for a moment, and sets something."""
+    """Open the device for a moment as another program, and set something."""
     device = os.open(wire.DEVICE, os.O_RDWR)
     try:
         fcntl.ioctl(device, request, value)

@@ -34,12 +34,12 @@ class Publisher:
         return float(delayed[1])
 
     def asks(self, now_ms: float, *, sent_at_ms: float | None = None) -> str | None:
-        """The same; why it is rejected."""
+        """Return the same; why it is rejected."""
         sent_ms = self.clock_ms(now_ms if sent_at_ms is None else sent_at_ms)
         return self._staleness.too_old(self.name, sent_ms, round(now_ms * MS), round(now_ms * MS))
 
     def streams(self, begin_ms: float, end_ms: float, *, delay_ms: float = 0.0, period_ms: float = 20.0) -> list[bool]:
-        """Whether each command of a stream is rejected."""
+        """Return whether each command of a stream is rejected."""
         count = int((end_ms - begin_ms) / period_ms)
         times = [begin_ms + index * period_ms for index in range(count)]
         return [self.arrives(sent_ms + delay_ms, sent_at_ms=sent_ms) is not None for sent_ms in times]
@@ -248,7 +248,7 @@ def test_of_two_clocks_the_one_heard_last_is_believed_and_then_the_one_heard_for
 
 @pytest.fixture
 def stopping() -> Staleness:
-    """One whose loop turns when the test says so."""
+    """Return one whose loop turns when the test says so."""
     return Staleness(MAX_AGE_MS)
 
 

@@ -33,7 +33,7 @@ def settings(folder: Path) -> Settings:
 
 @pytest.fixture
 def ring_at(folder: Path) -> Path:
-    """A ring with one incident, which the link in `folder` leads to."""
+    """Return a ring with one incident, which the link in `folder` leads to."""
     path = rings.prepare(folder)
     ring = RecordRing(path, 100)
     ring.append(form.INCIDENT, 5, form.fields(WALL_NS, NAME))

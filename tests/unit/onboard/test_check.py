@@ -215,7 +215,7 @@ def clocked(speed_hz: int, *lines: str, **spi: Any) -> Scene:
 
 
 def dated(days_left: int, *lines: str) -> Scene:
-    """The robot's certificate, which is good for 90 days."""
+    """Return the robot's certificate, which is good for 90 days."""
 
     def plant(root: Path) -> CheckedRobot:
         certs.folder.init(root / "D", ["127.0.0.1"], days=90)
@@ -228,7 +228,7 @@ def dated(days_left: int, *lines: str) -> Scene:
 
 
 def named(host: str) -> Callable[[Path], CheckedRobot]:
-    """A robot whose certificate is for this host."""
+    """Return a robot whose certificate is for this host."""
 
     def plant(root: Path) -> CheckedRobot:
         certs.folder.init(root / "D", [host])
@@ -238,12 +238,12 @@ def named(host: str) -> Callable[[Path], CheckedRobot]:
 
 
 def unit(**properties: str) -> Callable[[Path], CheckedRobot]:
-    """What systemd shows of an installed unit."""
+    """Return what systemd shows of an installed unit."""
     return but(Installed, unit={**UP, **properties})
 
 
 def brought(*names: str, damaged: bool = False, of: str = "other") -> Callable[[Path], CheckedRobot]:
-    """A robot's certificates, in which these files are of another authority, or of a laptop (`of`).
+    """Return a robot's certificates, in which these files are of another authority, or of a laptop (`of`).
 
     `damaged`: the list in the state directory is.
     """
@@ -300,7 +300,7 @@ def not_tried(*_: object) -> None:
 
 
 def built(version: str) -> Callable[[Path], CheckedRobot]:
-    """A kernel of a Raspberry Pi 5."""
+    """Return a kernel of a Raspberry Pi 5."""
     node = "axi/pcie@120000/rp1/spi@50000"
     return here({"driver": "dw_spi_mmio", "model": PI_5, "node": node, "version": f"{PI_4}{version}\n"})
 
@@ -318,7 +318,7 @@ def kept(calibration: RobotCalibration | str) -> Callable[[Path], CheckedRobot]:
 
 
 def access(change: Callable[[str], str]) -> Callable[[Path], CheckedRobot]:
-    """An access control that differs from what this release makes."""
+    """Return an access control that differs from what this release makes."""
 
     def plant(root: Path) -> CheckedRobot:
         certs.folder.init(root, ["127.0.0.1"], port=7448)
@@ -333,7 +333,7 @@ CAN, ETHERNET = 280, 1
 
 
 def interface(kind: int | None, flags: int = 0) -> Callable[[Path], CheckedRobot]:
-    """A network interface in the kernel's files."""
+    """Return a network interface in the kernel's files."""
     tree = {"sys/class/net/can7/type": f"{kind}\n", "sys/class/net/can7/flags": f"{flags:#x}\n"}
     return files({} if kind is None else tree, power={"interface": "socketcan", "channel": "can7"})
 
@@ -374,7 +374,7 @@ def but(plant: Callable[[Path], CheckedRobot], **differs: Any) -> Callable[[Path
 
 
 def served(plant: Callable[[Path], CheckedRobot]) -> Callable[[Path], CheckedRobot]:
-    """A machine with the service's user."""
+    """Return a machine with the service's user."""
     return but(plant, service=(9, 9))
 
 
@@ -582,7 +582,7 @@ IDS = [f"{each.name}: {(*each.lines, 'nothing')[0]}" for each in SCENES]
 
 
 def is_pasted(fix: str) -> None:
-    """Whether a remedy's text from its first `sudo` on is shell alone."""
+    """Check that a remedy's text from its first `sudo` on is shell alone."""
     if found := re.search(r"\bsudo .*", fix):
         bare = re.sub(r"\$?'[^']*'", "X", found[0])
         assert not set("()[]`").intersection(bare), fix

@@ -92,7 +92,7 @@ class Computer:
         return (self.root / path.lstrip("/")).read_text()
 
     def says(self, *, dry: bool = False, force: bool = False, **wanted: Any) -> list[str]:
-        """The lines that `setup` prints, which ends with 0."""
+        """Return the lines that `setup` prints, which ends with 0."""
         machine = _Checked(self.root, self.systemd, lambda: self.busy, dry=dry, force=force)
         with contextlib.redirect_stdout(io.StringIO()) as stdout:
             assert setup(machine, Wanted(**wanted)) == 0
@@ -324,7 +324,7 @@ def test_the_console(computer: Computer) -> None:
 
 @pytest.fixture(scope="module")
 def people(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder of certificates: the first robot, a second one, a laptop, and another authority."""
+    """Return a folder of certificates: the first robot, a second one, a laptop, and another authority."""
     folder = tmp_path_factory.mktemp("people") / "certs"
     certs.folder.init(folder, ["robot.local"])
     certs.folder.issue(folder, "robot-2", "robot", hosts=["robot-2.local"], bundle=folder / "robot-2.zip")

@@ -183,7 +183,7 @@ def test_what_people_import_into_a_browser_is_good_for_the_console_only(
 
 
 def trusted(authority_file: Path, certificate: Path, key: Path, host: str) -> bool:
-    """Whether a client that trusts that authority takes the certificate for that host."""
+    """Return whether a client that trusts that authority takes the certificate for that host."""
     server = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     server.load_cert_chain(certificate, key)
     to_server, to_client = ssl.MemoryBIO(), ssl.MemoryBIO()
@@ -207,7 +207,7 @@ def trusted(authority_file: Path, certificate: Path, key: Path, host: str) -> bo
 
 
 def issue(directory: Path, *people: str, role: str = "operator") -> list[str]:
-    """The common names that they get."""
+    """Return the common names that they get."""
     for name in people:
         certs.folder.issue(directory, name, role)
     return [certs.folder.describe(directory / f"{name}.pem").common_name for name in people]

@@ -45,7 +45,7 @@ END_S = 10.0
 
 
 def asked(*, again: bool = True, other_ways: bool = False) -> tuple[Patience[str], Query[str]]:
-    """A question that was sent at 0 s."""
+    """Return a question that was sent at 0 s."""
     patience: Patience[str] = Patience(0.0, END_S, again=again, other_ways=other_ways)
     return patience, patience.sent(0.0)
 

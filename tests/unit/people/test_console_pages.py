@@ -209,7 +209,7 @@ class StoppedRobot:
 
 
 def heard(page: Kept) -> list[Message]:
-    """All that it is sent of how far its stops have come."""
+    """Return all that it is sent of how far its stops have come."""
     return [message for message in page.put_in if message["type"] == "stop"]
 
 

@@ -50,7 +50,7 @@ class Visitor:
         return asyncio.run(self._auth.answer(url, CIMultiDict({"Host": "127.0.0.1:8080", **headers})))
 
     def nonce(self, session: SignIn, mine: str = "mine") -> tuple[str, str]:
-        """The console's, and its proof."""
+        """Return the console's, and its proof."""
         answer = self.get(f"/session?nonce={mine}", session)
         assert isinstance(answer, web.Response)
         assert answer.text is not None
@@ -59,7 +59,7 @@ class Visitor:
         return found["nonce"], found["proof"]
 
     def proved(self, session: SignIn) -> str:
-        """What a page with the session's key offers for its WebSocket."""
+        """Return what a page with the session's key offers for its WebSocket."""
         nonce, _ = self.nonce(session)
         return f"nonce={nonce}&proof={proof(hashed(session.key), f'page {nonce}')}"
 

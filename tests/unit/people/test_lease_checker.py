@@ -44,7 +44,7 @@ def pem(certificate: x509.Certificate) -> str:
 def proof(
     pair: authority.KeyPair = ANNA, do: str = "acquire", nonce: str = NONCE, watching: str = "", **more: Any
 ) -> Proof:
-    """A proof as `pair` makes it, to drive or with this name to watch; `more` overrides its fields."""
+    """Return a proof as `pair` makes it, to drive or with this name to watch; `more` overrides its fields."""
     text = WATCHING.signed("register", watching, nonce) if watching else signed_text(do, "anna", nonce)
     signature = pair.key.sign(text, ec.ECDSA(hashes.SHA256()))
     fields = {"nonce": nonce, "certificate": pem(pair.certificate), "signature": base64.b64encode(signature).decode()}
@@ -52,7 +52,7 @@ def proof(
 
 
 def own_certificate(key: Any, name: x509.Name, **changes: Any) -> x509.Certificate:
-    """What somebody's own tools make with this gateway's CA."""
+    """Return what somebody's own tools make with this gateway's CA."""
     issuer = changes.get("issuer", CA)
     made = x509.CertificateBuilder().subject_name(name).issuer_name(issuer.certificate.subject)
     made = made.public_key(key.public_key()).serial_number(7)

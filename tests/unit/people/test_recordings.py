@@ -77,7 +77,7 @@ def reports(count: int) -> Iterator[tuple[str, dict[str, Any], int]]:
 
 
 def begun(path: Path, count: int = 600) -> Recording:
-    """What is recorded, while it is."""
+    """Return what is recorded, while it is."""
     recording = Recording(load())
     recording.open_file(path, {"protocol": "1.0"}, START_NS)
     for topic, report, time_ns in reports(count):
@@ -96,7 +96,7 @@ def path(tmp_path: Path) -> Path:
 
 
 def drawn_in(path: Path, topic: str) -> list[Message]:
-    """What viewers draw of it, in a whole file."""
+    """Return what viewers draw of it, in a whole file."""
     with path.open("rb") as file:
         messages = make_reader(file).iter_messages(topics=[topic], log_time_order=False)
         return [decode(DRAWN[topic], message.data) for _, _, message in messages]

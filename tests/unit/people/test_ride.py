@@ -27,7 +27,7 @@ SITS_WITHIN_S: Final = 3.0
 
 
 def moved(ridden: Ridden, before: int) -> bool:
-    """Whether anything but the same pose has been sent since."""
+    """Return whether anything but the same pose has been sent since."""
     return any(pose != ridden.sent[before - 1] for pose in ridden.sent[before:])
 
 
@@ -86,7 +86,7 @@ class Pad:
         self.hold()
 
     def hold(self, velocity: Velocity = STILL) -> None:
-        """A new press."""
+        """Begin a new press."""
         self.press += 1
         self.wanted = Wish(self.press, velocity)
 

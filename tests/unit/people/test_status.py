@@ -72,7 +72,7 @@ class Followed:
         self.now_ns = 0
 
     def after(self, act: Callable[[], None]) -> list[str]:
-        """What is shown of it."""
+        """Return what is shown of it."""
         count = len(self.lines)
         act()
         return [line.text for line in self.lines[count:]]

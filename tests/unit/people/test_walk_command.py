@@ -29,7 +29,7 @@ LIMP = "All six legs are stopped, and hold no weight"
 
 
 def of(running: Collection[int], mode: Mode = Mode.ACTIVE, **changed: object) -> GatewayState:
-    """The gateway's state while exactly these legs run."""
+    """Return the gateway's state while exactly these legs run."""
     return state(mode=mode, running=running).model_copy(update=changed)
 
 
@@ -38,7 +38,7 @@ def walk(posture: Posture, *lost: int) -> WalkState:
 
 
 def partly(*partly: int) -> GatewayState:
-    """All legs run, but of these one servo only."""
+    """Return legs that all run, but of these one servo only."""
     found = of(ALL)
     legs = [
         leg.model_copy(update={"servos": tuple(servo(each.id, each is leg.servos[0]) for each in leg.servos)})

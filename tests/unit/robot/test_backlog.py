@@ -166,7 +166,7 @@ HALF_A_SECOND: Final = 500
 def stream(
     keys: Sequence[str], rate_hz: float, *, starts: bool, verb: Verb = Verb.PUT, jitter_ms: float = 0.0
 ) -> Iterator[Arrival]:
-    """A second of a program's messages: starts, or a start and then sets."""
+    """Yield a second of a program's messages: starts, or a start and then sets."""
     random = Random(rate_hz)  # noqa: S311  (a test's)
     for number in range(round(rate_hz)):
         op = Op.START if starts or number == 0 else Op.SET
@@ -221,7 +221,7 @@ def test_a_machine_that_is_busy_delays_no_start_beyond_that(
 
 
 def held_back(keys: Sequence[str], rate_hz: int, stall_ms: int, *, starts: bool) -> Iterator[Arrival]:
-    """The messages that a program has sent during a stall."""
+    """Yield the messages that a program has sent during a stall."""
     for number in range(rate_hz * stall_ms // 1000):
         op = Op.START if starts or number == 0 else Op.SET
         yield from (Arrival(0, key, op) for key in keys)

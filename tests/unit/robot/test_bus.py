@@ -199,7 +199,7 @@ def transfers_of(stop: bytes) -> tuple[bytes, ...]:
 
 
 def awaiting(count: int) -> Controller:
-    """A controller with no servo on that awaits so many bytes."""
+    """Return a controller with no servo on that awaits so many bytes."""
     controller = Controller(Framing.LENGTH_PREFIXED, clock=lambda: 0)
     controller.take(bytes((count,)))
     assert controller.missing == count

@@ -176,7 +176,7 @@ TOKEN = "0123456789abcdef" * 2
 
 
 def read(payload: bytes) -> CalibrationCommand | Rejection:
-    """The change that is decided for a payload, or its rejection."""
+    """Return the change that is decided for a payload, or its rejection."""
 
     def reject(_source: str | None, reason: Reason, detail: str, _reply: object) -> Rejection:
         return Rejection(reason, detail)

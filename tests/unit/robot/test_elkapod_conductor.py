@@ -34,7 +34,7 @@ async def walking(**sections: dict[str, object]) -> ElkapodRobot:
 
 
 def angles(robot: ElkapodRobot, last: int) -> list[set[float]]:
-    """What the last frames say."""
+    """Return what the last frames say."""
     return [set(angles_of(data).values()) for _, data in list(robot.elkapod.transfers)[-last:]]
 
 
@@ -127,7 +127,7 @@ async def test_a_controller_that_restarts_is_shut_down_and_moves_only_after_a_ne
 
 @pytest.fixture
 def ends() -> Iterator[tuple[int, str]]:
-    """The controller's end, and the path of the program's."""
+    """Yield the controller's end, and the path of the program's."""
     ours, theirs = os.openpty()
     tty.setraw(theirs)
     yield ours, os.ttyname(theirs)

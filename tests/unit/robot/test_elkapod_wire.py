@@ -91,7 +91,7 @@ def test_what_is_no_answer_is_none_and_says_why(bad: str) -> None:
 
 
 def judged(signs: SignsOfLife, values: Iterable[Measured], begun_ms: int = 0) -> list[bool]:
-    """Which of these answers, one in each cycle, counts as a measurement; heartbeats come all the time."""
+    """Return which of these answers, one in each cycle, counts as a measurement; heartbeats come all the time."""
     taken = []
     for cycle, each in enumerate(values, 1):
         now_ns = (begun_ms + 20 * cycle) * MS
@@ -254,7 +254,7 @@ class Parts(Uart):
         return play(self, scene, DONE, Parts._made, FACTS)
 
     def _made(self) -> list[str]:
-        """What the UART said."""
+        """Return what the UART said."""
         said, self.said = self.said, []
         return [{START: "start", SHUTDOWN: "shutdown"}[each] for each in said]
 
@@ -265,7 +265,7 @@ class Parts(Uart):
             self.error = error
 
     def go(self) -> None:
-        """One cycle, now."""
+        """Do one cycle, now."""
         self.frame = None
         self.bus.cycle(nullcontext(), lambda _values, _ns: None, lambda fault: setattr(self, "error", fault))
 
@@ -283,7 +283,7 @@ class Parts(Uart):
 
     @property
     def fault(self) -> str | None:
-        """What was raised or reported since this was last asked."""
+        """Return what was raised or reported since this was last asked."""
         found, self.error = self.error or self.report.fault, None
         self.report = BatchReport()
         return None if found is None else f"{type(found).__name__}: {found}"

@@ -18,7 +18,7 @@ ZERO = b"\0"
 
 
 def passes(framing: Framing, *data: bytes) -> bool:
-    """Whether a batch of these transfers may be written."""
+    """Return whether a batch of these transfers may be written."""
     try:
         check([(each, 7) for each in data], range(0), announces=framing is PREFIXED)
     except IllegalTransferError:
@@ -97,7 +97,7 @@ def test_the_reason_is_the_first_servo_within_the_interval_which_has_its_beginni
 
 
 def is_checked(data: bytes, avoid_from_cdeg: int = 0, avoid_to_cdeg: int = 0) -> bool:
-    """Whether the guard's own description of a frame fits."""
+    """Return whether the guard's own description of a frame fits."""
     try:
         check([(data, 0)], range(avoid_from_cdeg, avoid_to_cdeg), announces=False)
     except IllegalTransferError:

@@ -132,7 +132,7 @@ async def test_each_incident_of_a_robot_that_ran_is_copied_at_the_end_at_the_lat
 
 
 def filled(ring: Path, last: int, first: int = 1) -> None:
-    """A ring with so many modes, numbered from 1."""
+    """Fill a ring with so many modes, numbered from 1."""
     made = RecordRing(ring, SLOTS)
     for number in range(first, last + 1):
         made.append(form.NOTE, number, form.fields("mode", str(number)))

@@ -58,7 +58,7 @@ class Intent(NamedTuple):
 
 
 def meant(answer: Command | Reset | Rejection) -> Intent | Rejection:
-    """The intent of what was read."""
+    """Return the intent of what was read."""
     if isinstance(answer, Rejection):
         return answer
     estop = answer.estop if isinstance(answer, Reset) else None
@@ -66,7 +66,7 @@ def meant(answer: Command | Reset | Rejection) -> Intent | Rejection:
 
 
 def decode(key: CommandKey, payload: bytes, encoding: str) -> Intent | Rejection:
-    """What a `put` of this payload asks for."""
+    """Return what a `put` of this payload asks for."""
     return meant(read(Received("", "", key, Verb.PUT, payload, len(payload), encoding, None, 0)))
 
 
@@ -131,7 +131,7 @@ def _check_targets(key: CommandKey, sent: dict[str, Any], targets: Targets) -> N
 
 
 def _frames_of(targets: Targets) -> list[Frame]:
-    """The frames that these targets become: whole legs as ONE LEG, a single servo as ONE SERVO."""
+    """Return the frames that these targets become: whole legs as ONE LEG, a single servo as ONE SERVO."""
     if len(targets) == 1:
         return [OneServo(*targets[0])]
     ops: list[ServoOp] = [op for _, op in targets]
@@ -143,7 +143,7 @@ ENCODINGS = (JSON, "zenoh/bytes", "", "text/plain", "application/json;charset=ut
 
 
 def rejection(key: CommandKey, payload: object, encoding: str = JSON) -> Rejection:
-    """The answer to a bad command; text and bytes go as they are, anything else as JSON."""
+    """Return the answer to a bad command; text and bytes go as they are, anything else as JSON."""
     data = payload if isinstance(payload, bytes) else payload.encode() if isinstance(payload, str) else as_json(payload)
     answer = decode(key, data, encoding)
     assert isinstance(answer, Rejection), answer
@@ -151,7 +151,7 @@ def rejection(key: CommandKey, payload: object, encoding: str = JSON) -> Rejecti
 
 
 def servo_op(payload: str) -> ServoOp:
-    """What a payload on a servo's key asks for."""
+    """Return what a payload on a servo's key asks for."""
     answer = decode(SERVO_32, payload.encode(), JSON)
     assert isinstance(answer, Intent), answer
     ((servo_id, op),) = answer.targets
@@ -404,7 +404,7 @@ anything = st.recursive(
 
 
 def outcome(read: Any, payload: bytes) -> object:
-    """The value, or each error by its place and kind, with the sentence that answers it.
+    """Return the value, or each error by its place and kind, with the sentence that answers it.
 
     A wrong name that is given twice counts twice among dicts, and once in a model.
     """

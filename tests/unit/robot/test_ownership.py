@@ -125,7 +125,7 @@ class Gateway:
         """Nobody listens."""
 
     def play(self, *then: Callable[[], None]) -> None:
-        """The whole of it, until nothing is left to happen."""
+        """Play the whole of it, until nothing is left to happen."""
         self.stage.start("loop", self.loop.run)
         for each in then:
             self.stage.start(each.__name__, each)
@@ -258,7 +258,7 @@ def receiving() -> Iterator[Receiving]:
     loop, ring, started = SteppedLoop(stage), Ring(stage), list[ReceiverThread]()
 
     def start(note: Callable[[object, int], Callable[[], float | None]]) -> Parts:
-        """A receiver thread whose ring has two messages, which it receives once the stage runs."""
+        """Return a receiver thread whose ring has two messages, which it receives once the stage runs."""
         ring.items += [b"", b""]
         owner = Ownership()
         started.append(ReceiverThread(cast(Any, loop), owner, "receiver", cast(Any, ring), cast(Any, note)))

@@ -24,7 +24,7 @@ from gateway.robot.core.servo import AFTER, OFF, RUNNING, WAITING, IllegalTransi
 
 
 def sent_at(period_ns: int, arrivals_ns: list[int]) -> list[int]:
-    """When frames go out, each with the newest that has arrived. What is pending leaves when it is due."""
+    """Return when frames go out, each with the newest that has arrived. What is pending leaves when it is due."""
     slots = RateSlots(period_ns)
     frames_ns: list[int] = []
     pending = False

@@ -143,7 +143,7 @@ class Judge:
         return {servo_id for place, servo_id in enumerate(SERVO_IDS) if self.real.fed >> place & 1}
 
     def nothing_stopped_is_fed(self) -> None:
-        """Right behind a Stop, on a line that works."""
+        """Check right after a Stop, on a line that works."""
         line = self.robot.line
         if line.board is self.real and line.cable and not line.deaf:
             ours = {servo_id for place, servo_id in enumerate(SERVO_IDS) if not self.foreign >> place & 1}
@@ -152,7 +152,7 @@ class Judge:
 
 
 def do(judge: Judge, what: str, number: int) -> None:
-    """One step."""
+    """Do one step."""
     robot = judge.robot
     if what.split(maxsplit=1)[0] in ("start", "set", "stop"):
         command(judge, what, number)
@@ -195,7 +195,7 @@ def exchange(judge: Judge, what: str) -> None:
 
 
 def disturb(judge: Judge, what: str, mask: int) -> None:
-    """What happens to the board and its link."""
+    """Disturb the board or its link."""
     line, now_ns = judge.robot.line, judge.robot.now_ns()
     match what:
         case "unplug" | "plug":
@@ -229,7 +229,7 @@ def disturb(judge: Judge, what: str, mask: int) -> None:
 
 
 def command(judge: Judge, what: str, number: int) -> None:
-    """A command, and what the judge is to know of it."""
+    """Send a command, and tell the judge of it."""
     robot, angle_deg = judge.robot, 60.0 + number
     ids = [10 * number + joint for joint in (1, 2, 3)]
     angles = (angle_deg,) * 3
@@ -257,7 +257,7 @@ def command(judge: Judge, what: str, number: int) -> None:
 
 
 def fail(robot: AnyRobot, *, fails: bool) -> None:
-    """The way to the controller."""
+    """Let the way to the controller fail, or work again."""
     if isinstance(robot, FedElkapod):
         robot.elkapod.spi_fails = fails
     else:
@@ -265,7 +265,7 @@ def fail(robot: AnyRobot, *, fails: bool) -> None:
 
 
 async def play(make: Callable[..., AnyRobot], steps: list[tuple[str, int, float]]) -> None:
-    """Each step, and some time behind it."""
+    """Do each step, and let some time pass after it."""
     robot = make(watchdog={"timeout_ms": 3000})
     judge = Judge(robot)
     await asyncio.sleep(2.5)
@@ -277,7 +277,7 @@ async def play(make: Callable[..., AnyRobot], steps: list[tuple[str, int, float]
 
 
 async def an_emergency_stop_ends_it(judge: Judge) -> None:
-    """Whatever was: with a link that works it takes all, is confirmed, and all comes back."""
+    """Check that with a working link, whatever was, it takes all, is confirmed, and all comes back."""
     robot, line = judge.robot, judge.robot.line
     line.cable, line.deaf, line.hears = True, False, True
     line.board, line.second = judge.real, None

@@ -90,7 +90,7 @@ STOP, SET = {"op": "stop"}, {"op": "set", "angle_deg": 80}
 
 
 async def running(**sections: Any) -> Robot:
-    """A robot of which all servos run, and nothing is recorded yet."""
+    """Return a robot of which all servos run, and nothing is recorded yet."""
     robot = await started_and_quiet(**sections)
     assert robot.ask(keys.LEGS_COMMAND, {"legs": {str(number): leg("start", 90, 90, 90) for number in LEGS}}).accepted
     await asyncio.sleep(0.06)
@@ -104,7 +104,7 @@ def stopped(robot: Robot) -> set[int]:
 
 
 def named(payload: object, key: str) -> set[int]:
-    """The servos that a rejected payload stops."""
+    """Return the servos that a rejected payload stops."""
     data = payload if isinstance(payload, bytes) else json.dumps(payload).encode()
     received = Received(key, key, COMMAND_KEYS.get(key), Verb.PUT, data, len(data), JSON, None, 0)
     return {servo_id for servo_id, op in stops_in(received) if op.op is Op.STOP}

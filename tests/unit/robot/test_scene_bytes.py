@@ -56,7 +56,7 @@ async def _play(framing: Framing, *, lists: bool) -> Robot:
 
 
 def transfers(framing: Framing, *, lists: bool = True) -> list[str]:
-    """Each transfer of the scene as a line: when, in ms, and its bytes in hexadecimal."""
+    """Return each transfer of the scene as a line: when, in ms, and its bytes in hexadecimal."""
     loop = async_solipsism.EventLoop()
     try:
         robot = loop.run_until_complete(_play(framing, lists=lists))

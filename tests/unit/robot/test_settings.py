@@ -91,12 +91,12 @@ pytestmark = pytest.mark.usefixtures("_clean_environment")
 
 
 def load(path: Path | None = None) -> Settings:
-    """As for `run --sim`: nobody has to say a framing."""
+    """Load as `run --sim` does: without a stated framing."""
     return settings.load(path, simulated=True)
 
 
 def faults(path: Path | None = None) -> list[str]:
-    """The lines of the ConfigError, the file's path cut off to `file`."""
+    """Return the lines of the ConfigError, the file's path cut off to `file`."""
     with pytest.raises(ConfigError) as raised:
         load(path)
     assert raised.value.exit_code == 2

@@ -37,7 +37,7 @@ class Bench:
         return answer.data
 
     def passes(self, number: int) -> list[CanFrame]:
-        """So many passes later."""
+        """Let so many passes go by."""
         sent = []
         for _ in range(number):
             self.now_ns += PASS_NS

@@ -194,7 +194,7 @@ TARGETS = {servo_id: 80.0 + place for place, servo_id in enumerate(SERVO_IDS)}
 
 
 def frame_to(angles_deg: dict[int, float]) -> bytes:
-    """A frame with any numbers, legal or not."""
+    """Return a frame with any numbers, legal or not."""
     return struct.pack("<B18f6xB", 0x7E, *angles_deg.values(), 0x0F)
 
 

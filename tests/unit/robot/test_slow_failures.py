@@ -33,7 +33,7 @@ async def six_legs_run(framing: Framing = PREFIXED) -> Robot:
 
 
 async def off_ms(robot: Robot, since_ns: int, limit_s: float = 20.0) -> float:
-    """How long after `since_ns` the last servo was off; infinite: one is still on."""
+    """Return how long after `since_ns` the last servo was off; infinite: one is still on."""
     for _ in range(round(limit_s * 1000)):
         if robot.controller.all_off_ns is not None:
             break

@@ -259,7 +259,7 @@ SINGLY = [f"repeat {servo_id} stop" for servo_id in SERVO_IDS]
 
 
 def at_rest() -> Scenes:
-    """Opened at 0 ms, and nothing is owed any more at 5000 ms."""
+    """Return scenes opened at 0 ms, in which nothing is owed any more at 5000 ms."""
     robot = Scenes(Rules(repeats=3))
     assert runs_of(robot) == [20, 40, 60, *(60 + RUN_MS * run for run in (1, 2, 3, 4))], "after the Stops at the start"
     return robot

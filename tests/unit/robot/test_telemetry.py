@@ -121,7 +121,7 @@ def page(robot: Robot) -> str:
 
 
 def samples(robot: Robot) -> dict[str, float]:
-    """By name and first label."""
+    """Return the samples by name and first label."""
     found = [sample for family in text_string_to_metric_families(page(robot)) for sample in family.samples]
     return {" ".join((sample.name, *sample.labels.values())): sample.value for sample in found}
 
