@@ -68,6 +68,11 @@ def spelled_out(effects: Iterable[events.Effect]) -> Iterator[events.Effect]:
             yield from map(events.Completed, effect.done)
 
 
+def supply_of(effects: Iterable[events.Effect]) -> list[events.Effect]:
+    """Those that are the power board's."""
+    return [each for each in effects if isinstance(each, events.Cut | events.Feed | events.ClearErrors)]
+
+
 def is_coalesced(request: events.Request) -> bool:
     """Whether a newer command has replaced a part of it."""
     return isinstance(request, events.Command) and request.coalesced

@@ -44,6 +44,7 @@ from tests.support.history import (
     judge_halts,
     judge_results,
     rejections_of,
+    supply_of,
 )
 from tests.support.motion import LandingHistory, stepped
 from tests.support.robot_history import RobotHistory
@@ -68,7 +69,8 @@ class Oracle(RobotHistory):
         halted, lived = announced(effects, {Kind.LEGS_STOPPED}), self.alive
         rejected = {each for effect in effects if isinstance(effect, Rejected) for each in effect.request.servo_ids}
         stops_end = lived - (rejected - self.energised)  # a start may end with its command, before a Stop
-        effects = [each for each in effects if each not in halted]
+        step, supply = effects, supply_of(effects)
+        effects = [each for each in effects if each not in halted and each not in supply]
         ran = bool(self.energised)
         due = any(servo.owed and now_ns >= servo.owed_ns for servo in self.servos.values())
         self.owing, self.sent_again, self.put_off, self.together = [], [], False, due and not ran
@@ -77,9 +79,10 @@ class Oracle(RobotHistory):
         self.lease.pass_time(now_ns, effects)
         self.buttons.pass_time(now_ns, effects)
         self.body.judge(event if isinstance(event, BodyMeasured) else None, now_ns, effects)
+        doubted = isinstance(event, PowerSeen) and self.power.doubts(event)
         self.power.take(event)
         match event:
-            case PowerSeen() if event.doubt and self.bus_ok and not self.ended:
+            case PowerSeen() if doubted and self.bus_ok and not self.ended:
                 self._all_stopped(effects, Cause.WATCHDOG, Reason.NO_POWER, now_ns)
             case Command() | Reset() | TimePassed() | Calibrate() | ButtonRequest() | BodyMeasured() | PowerSeen():
                 self._in_time(event, now_ns, effects)
@@ -136,6 +139,8 @@ class Oracle(RobotHistory):
         holder, alive = after.lease.holder, after.buttons.alive
         to_feed, fed = self.to_feed(), after.legs.to_feed()
         demand(fed == to_feed, f"the board is to feed {to_feed}, not {fed}")
+        reset = isinstance(event, Reset) and not rejections_of(event.number, effects)
+        self.power.judge(step, to_feed, self.mode, self.estops, reset=reset, outside=self.outside)
         demand(holder == self.lease.holder, f"{self.lease.holder} holds the lease, not {holder}")
         demand(alive == self.buttons.alive, f"{self.buttons.alive} are alive, not {alive}")
         self._after(now_ns, after.due_ns, ran=ran)

@@ -1,27 +1,30 @@
 """What a judge of the supervisor remembers of one robot, and how the model check tells two such histories apart."""
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Self
 
 from gateway.model.calibration import RobotCalibration
 from gateway.model.frames import STOP, Frame, OneServo, Op, servo_ids_of, stop_leg
 from gateway.robot.core.events import (
     BodyMeasured,
+    ClearErrors,
     Command,
+    Cut,
     Effect,
     EstopKept,
     Event,
+    Feed,
     PowerSeen,
     StoppedOutside,
     Transmit,
 )
 from gateway.robot.core.rules import Rules
-from schemas.robot import LEGS
+from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Kind, Mode, Reason
 from tests.support.backlog_history import BacklogHistory
 from tests.support.buttons_history import ButtonsHistory
 from tests.support.calibration_history import CalibrationHistory
-from tests.support.history import CLOSED, LegHistory, ServoHistory, cloned, demand, is_announced
+from tests.support.history import CLOSED, LegHistory, ServoHistory, cloned, demand, is_announced, supply_of
 from tests.support.lease_history import LeaseHistory
 from tests.support.motion import LandingHistory
 
@@ -71,22 +74,92 @@ class PowerHistory:
     """Whether the board answered when it was last seen, and which servos it refused."""
 
     def __init__(self, rules: Rules) -> None:
+        self.rules = rules
         self.silent = rules.power
         """A board that has not answered yet feeds nothing."""
-        self.refused: frozenset[int] = frozenset()
+        self.blocked: frozenset[int] = frozenset()
+        self.withheld: frozenset[int] = frozenset()
+        """Those that drew current, or that another program has switched off, until a reset."""
+        self.trusted = rules.angles_first
+        """Whether a fed servo was seen at rest since the last fault."""
+        self.ordered: dict[int, int | None] = {}
+        """What is to be fed by the latest step."""
+        self.why: tuple[Mode, int] | None = None
+        """The mode for which all supply is cut, with the number of the emergency stop."""
+        self.is_cut = False
         self.fed: frozenset[int] = frozenset()
         """What it has confirmed to feed, of what runs or waits to be started since."""
         self.on = rules.power
 
     def key(self) -> tuple[object, ...]:
         """What of it still matters."""
-        return self.silent, self.refused, self.fed
+        ordered = tuple(self.ordered.items())
+        return self.silent, self.blocked, self.withheld, self.trusted, ordered, self.is_cut, self.fed
+
+    @property
+    def refused(self) -> frozenset[int]:
+        return self.blocked | self.withheld
+
+    def _deaf(self, seen: PowerSeen) -> bool:
+        """Whether the controller does not obey: the servo that is fed alone draws current."""
+        return not (self.trusted or seen.rests) and any(servo_id in self.ordered for servo_id, _ in seen.drew)
+
+    def doubts(self, seen: PowerSeen) -> bool:
+        """Whether a servo that should be off may be on."""
+        unfed = any(servo_id not in self.ordered for servo_id, _ in seen.drew)
+        return bool(seen.doubt) or unfed or self._deaf(seen)
 
     def take(self, event: Event) -> None:
         """From now on this is what it has said, if it has said something."""
+        self.restored = False
         if isinstance(event, PowerSeen):
-            self.silent, self.refused = not event.alive, frozenset(servo_id for servo_id, _ in event.refused)
-            self.fed = event.fed
+            self.silent, self.blocked = not event.alive, frozenset(servo_id for servo_id, _ in event.refused)
+            drew = SERVO_IDS if self._deaf(event) else [servo_id for servo_id, _ in event.drew]
+            self.withheld |= (event.taken - self.blocked).union(drew)
+            self.trusted = self.trusted or event.rests
+            if event.lost - event.taken - self.blocked:
+                self.trusted = self.rules.angles_first
+            self.fed = event.fed if self.trusted else frozenset()
+            self.restored = self.is_cut and not event.supplied.isdisjoint(self.ordered)
+
+    def judge(
+        self,
+        effects: Sequence[Effect],
+        to_feed: Mapping[int, int | None],
+        mode: Mode,
+        estops: int,
+        *,
+        reset: bool,
+        outside: bool,
+    ) -> None:
+        """Judge what a step cuts and feeds. `reset`: it was an accepted reset."""
+        demand(self.on or not supply_of(effects), "without a board there is no supply to switch")
+        if not self.on:
+            return
+        cuts = [each for each in effects if isinstance(each, Cut)]
+        feeds = [each for each in effects if isinstance(each, Feed)]
+        demand([*effects[: len(cuts)]] == cuts, "cuts precede all else")
+        last = max((place for place, each in enumerate(effects) if isinstance(each, Transmit)), default=-1)
+        demand(all(effects.index(each) > last for each in feeds), "nothing is fed before the step's frames")
+        demand(any(isinstance(each, ClearErrors) for each in effects) == reset, "a reset alone clears errors")
+        why = (mode, estops) if mode in (Mode.ESTOPPED, Mode.BUS_FAULT, Mode.STOPPING) else None
+        kept, new = self.ordered.keys() & to_feed, why is not None and why != self.why
+        cut = [Cut(frozenset(kept), new)] if new or kept != self.ordered.keys() else []
+        demand(cuts == cut, f"the step cuts {cut}, not {cuts}")
+        ends = bool(why and self.ordered)
+        demand(is_announced(effects, Kind.POWER_CUT) == ends, "a cut of what was fed is announced")
+        demand(is_announced(effects, Kind.POWER_RESTORED) == self.restored, "supply after a cut is announced")
+        self.is_cut = (self.is_cut and not self.restored) or ends
+        self.withheld = (frozenset() if reset else self.withheld).union(self.ordered if outside else ())
+        if why or outside or self.silent:
+            self.trusted = self.rules.angles_first
+        may = to_feed.keys() - self.refused
+        ordered = dict(feeds[-1].servos) if feeds else self.ordered
+        demand(ordered.items() <= to_feed.items() and ordered.keys() <= may, f"{ordered} is fed, of {may} that may be")
+        most = may if self.trusted else may & kept
+        demand(ordered.keys() == most or (not most and len(ordered) == bool(may)), f"{ordered} is fed, of {may}")
+        demand(bool(feeds) == (ordered != self.ordered), "what is fed is stated when it changes")
+        self.ordered, self.why = ordered, why
 
     def reason_to_reject(self, moved: Collection[int]) -> Reason | None:
         """Why these servos may neither start nor move."""

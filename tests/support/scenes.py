@@ -14,7 +14,7 @@ line continues in the next one, from its arrow on. A first line `rules repeats=2
 
 import ast
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Final, TypeVar, cast
 
 import pytest
@@ -28,7 +28,7 @@ from gateway.robot.core.supervisor import Supervisor
 from schemas.calibration import CalibrationCommand, ServoChange
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Kind
-from tests.support.history import announced, is_coalesced, spelled_out
+from tests.support.history import announced, is_coalesced, spelled_out, supply_of
 from tests.support.model_check import pending
 from tests.support.oracle import Oracle
 from tests.support.small_robots import Targets
@@ -37,7 +37,7 @@ T = TypeVar("T", bound=events.Effect)
 Options = dict[str, str]
 
 
-def said(effect: events.Effect) -> str:
+def said(effect: events.Effect) -> str:  # noqa: PLR0911
     """An effect in words: `command 11 start 90`, `watchdog 1 stop`, `completed 3 coalesced`, `rejected 4 stale`."""
     match effect:
         case events.Transmit(frame=frame):
@@ -55,6 +55,16 @@ def said(effect: events.Effect) -> str:
             return effect.reason or "granted"
         case events.SaveCalibration():
             return f"keep {effect.number}"
+        case events.Cut():
+            return "cut" if effect.everything else f"cut but {_named(effect.keep)}"
+        case events.Feed():
+            return f"feed {_named(effect.servos)}"
+        case events.ClearErrors():
+            return "clear errors"
+
+
+def _named(servo_ids: Iterable[int]) -> str:
+    return " ".join(map(str, sorted(servo_ids))) or "none"
 
 
 def all_stopped(cause: str) -> list[str]:
@@ -87,6 +97,8 @@ class Scenes:
         self.oracle = Oracle(rules, calibration=calibration, fault=fault)
         self.effects: list[events.Effect] = []
         self.halted: list[events.Announce] = []
+        self.supply: list[str] = []
+        """The latest step's that had any: what was cut, and what is fed. The oracle demands it."""
         self.instant_ms: float | None = None
         self._number = 0
         if opened:
@@ -95,8 +107,8 @@ class Scenes:
     def take(self, at_ms: float, event: events.Event) -> list[str]:
         """One step; in the instant that began at `instant_ms`, or in one of its own.
 
-        Words and `effects` leave out `legs_stopped`, and words the Stops that join first Stops, for legs at rest: the
-        oracle demands each of them.
+        Words and `effects` leave out `legs_stopped` and the supply, and words the Stops that join first Stops, for
+        legs at rest: the oracle demands each of them.
         """
         now_ns = _ns(at_ms)
         instant_ns = None if self.instant_ms is None else _ns(self.instant_ms)
@@ -105,6 +117,9 @@ class Scenes:
         self.oracle.judge(event, now_ns, self.effects, self.supervisor, instant_ns)
         self.halted = announced(self.effects, {Kind.LEGS_STOPPED})
         self.effects = [each for each in self.effects if each not in self.halted]
+        supply = supply_of(self.effects)
+        self.supply = [*map(said, supply)] or self.supply
+        self.effects = [each for each in self.effects if each not in supply]
         return [said(each) for each in spelled_out(self.effects) if each not in self.joining]
 
     def do(self, at_ms: float, words: str) -> list[str]:
@@ -291,10 +306,14 @@ def ids(words: str) -> tuple[int, ...]:
 
 
 def _board(_: Scenes, words: str, options: Options) -> events.PowerSeen:
-    """`board`, `board silent`, and as options `fed 31 33`, `lost 32`, `refused 12` (for overcurrent), `doubt why`."""
+    """`board`, `board silent`, and as options `fed 31 33`, `lost 32`, `taken 32`, `refused 12` (for overcurrent),
+    `drew 31`, `supplied 31`, `doubt why`, `rests no` (by default a powered servo was seen at rest)."""
     refused = tuple((servo_id, "overcurrent") for servo_id in ids(options.get("refused", "none")))
     fed, lost = (frozenset(ids(options.get(name, usual))) for name, usual in (("fed", "all"), ("lost", "none")))
-    return events.PowerSeen(words != "silent", refused, fed, lost, options.get("doubt", ""))
+    drew = tuple((servo_id, "it draws current") for servo_id in ids(options.get("drew", "none")))
+    taken, supplied = (frozenset(ids(options.get(name, "none"))) for name in ("taken", "supplied"))
+    doubt, rests = options.get("doubt", ""), "rests" not in options
+    return events.PowerSeen(words != "silent", refused, fed, lost, doubt, taken, supplied, drew, rests)
 
 
 def _body(_: Scenes, words: str, options: Options) -> events.BodyMeasured:
@@ -376,6 +395,7 @@ FACTS: Final[dict[str, Callable[[Scenes, str], tuple[object, object]]]] = {
     "due": lambda robot, words: (robot.due_ms, None if words == "never" else float(words)),
     "mode": lambda robot, word: (robot.supervisor.mode, word),
     "says": lambda robot, detail: (robot.detail, detail),
+    "supply": lambda robot, words: ("; ".join(robot.supply), words),
     "announces": lambda robot, detail: (robot.only(events.Announce).detail, detail),
     "mentions": lambda robot, words: (words in str(robot.effects), True),
     "legs": lambda robot, numbers: (robot.only(events.Announce).legs, tuple(map(int, numbers))),

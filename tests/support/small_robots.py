@@ -116,7 +116,7 @@ _RECALIBRATED = (
 """What it then is: as drawn, so that any angle goes; with a limit below HIGH; and impossible."""
 
 _FED, _ALIVE, _SILENT = (
-    PowerSeen(alive=True, fed=frozenset({11, 12, 21})),
+    PowerSeen(alive=True, fed=frozenset({11, 12, 21}), rests=True),
     PowerSeen(alive=True),
     PowerSeen(alive=False),
 )

@@ -1,6 +1,6 @@
 """The supervisor's inputs (events) and outputs (effects)."""
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Final, Literal, final
 
@@ -163,13 +163,21 @@ class PowerSeen:
 
     alive: bool
     refused: tuple[tuple[int, str], ...] = ()
-    """Servos that the board will not power, and why."""
+    """Servos that the board will not power before a reset, and why."""
     fed: frozenset[int] = frozenset()
-    """Servos that the board has confirmed to power since their last start. Their starts may leave."""
+    """Servos that the board has confirmed to power since the latest Cut or Feed."""
     lost: frozenset[int] = frozenset()
     """Servos that the board no longer powers, though it should."""
     doubt: str = ""
     """Why a servo that should be off may be on, or ""."""
+    taken: frozenset[int] = frozenset()
+    """Those of `lost` that another node, or the board by itself, has switched off."""
+    supplied: frozenset[int] = frozenset()
+    """Servos that the board powers, by its last answer."""
+    drew: tuple[tuple[int, str], ...] = ()
+    """Stopped servos that draw current, each with a sentence."""
+    rests: bool = False
+    """Whether the current of a powered servo that does not run shows that it rests."""
 
 
 @value
@@ -362,7 +370,30 @@ class SaveCalibration:
     calibration: RobotCalibration
 
 
-Effect = Transmit | Completed | Rejected | Announce | RequestAnswer | SaveCalibration
+@value
+class Cut:
+    """Power no servos but `keep` from now on. `everything`: cut also those that another node has powered."""
+
+    keep: frozenset[int]
+    everything: bool
+
+
+@value
+class Feed:
+    """Power exactly these servos, after the step's frames.
+
+    Each has the wire angle at which supply may start it (hundredths of a degree); None: it runs.
+    """
+
+    servos: Mapping[int, int | None]
+
+
+@value
+class ClearErrors:
+    """Have the power board power blocked servos again, once they are fed."""
+
+
+Effect = Transmit | Completed | Rejected | Announce | RequestAnswer | SaveCalibration | Cut | Feed | ClearErrors
 
 
 # ---- the outcome of a step's requests

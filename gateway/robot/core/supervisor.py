@@ -15,6 +15,7 @@ A step has this order; the code has the same numbers:
 7. What became due: repeated Stops, and frames whose rate slot has come, which the event may have used.
 8. Stops for legs at rest.
 9. The plan: what is due next, and the mode. Stops precede all other effects.
+10. The supply: its cuts precede the Stops, and servos are fed after the frames.
 
 Each rule that may keep the robot from moving, or bring it down, is an `Interlock` (lease, buttons, body, power,
 calibration, landing, `stop-servos`, emergency stop), in the `ORDER` below. A request is rejected with the reason of the
@@ -214,7 +215,11 @@ class Supervisor:
                 self.due_ns = each.due_ns if self.due_ns is None else min(self.due_ns, each.due_ns)
         self.usual_ns = self._usual_until_ns()
         effects += legs.halted()
-        return sorted(effects, key=_after_stops) if legs.stops.sent else effects
+        effects = sorted(effects, key=_after_stops) if legs.stops.sent else effects
+        # 10. the supply
+        if not self._rules.power:
+            return effects
+        return self.power.supply(effects, self.mode, self.latch.number, outside=self.outside.closed)
 
     def _usual_until_ns(self) -> int:
         """Return until when a command for running servos meets no rule but the lease (ns); 0: it may meet one now."""
@@ -283,9 +288,11 @@ class Supervisor:
         if why is not None:
             return [Rejected(event, *why)]
         effects = own.take(event, now_ns)
-        if event.lease is not None and not isinstance(effects[0], Rejected):
+        if isinstance(effects[0], Rejected):
+            return effects
+        if event.lease is not None:
             self.lease.record_use(event.lease, now_ns)
-        return effects
+        return [*effects, *self.power.reset()] if self._rules.power and type(event) is Reset else effects
 
     def _command(self, command: Command, now_ns: int) -> list[Effect]:
         rejected = command.rejected

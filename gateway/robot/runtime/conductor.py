@@ -232,7 +232,7 @@ class Conductor:
         self.reports.newest = values, now_ns
         self.recorder.measured(values, now_ns)
         if self.supply is not None:
-            self.supply.after_step()  # the frame may contain the angle of a servo that is to be powered
+            self.supply.feed_ready()  # the frame may contain the angle of a servo that is to be powered
         if self.supervisor.body.watches:
             tilt_cdeg = None if values.tilt_deg is None else round(values.tilt_deg * 100)
             self._step(BodyMeasured(tilt_cdeg, round(values.voltage_v * 1000)))

@@ -15,7 +15,6 @@ from gateway.robot.core.events import (
     Effect,
     Request,
     RequestAnswer,
-    Reset,
     Result,
     SaveCalibration,
     Sender,
@@ -162,7 +161,8 @@ class Executor:
         them.
         """
         supply = self.supply
-        cuts = [] if supply is None else supply.before_step()
+        if supply is not None:
+            supply.before_frames(effects)
         outcome = self._write(effects)
         self._end_all(outcome, command)
         for effect in effects:
@@ -179,12 +179,7 @@ class Executor:
         if self.publish_frames:
             self.reports.frames(outcome.written)
         if supply is not None:
-            if any(type(request) is Reset and verdict == ACCEPTED for request, verdict, _ in outcome.results):
-                supply.reset()
-            if outcome.fault is None:  # after a fault, the step for the fault follows, and powers nothing
-                supply.after_step()
-        for each in cuts:
-            self.reports.announce(each)
+            supply.after_frames(effects, fault=outcome.fault is not None)
         return outcome
 
     def carry_out_usual(self, moves: Sequence[Transmit], command: Command) -> Outcome:

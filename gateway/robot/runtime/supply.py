@@ -1,25 +1,19 @@
-"""Decides which servos the power board powers, and what the board's reports mean for the robot.
-
-With either wire, a servo is powered only while it runs or waits to be started. A Stop therefore cuts its power, and the
-end of an emergency stop or of a bus fault powers no servo.
+"""Carries out what the core decides about the servos' supply, and turns the power board's reports into events.
 
 For the owner of the state; nothing here waits, since threads of the board's line send the frames. A step's cuts are
-requested before its SPI frames, its powering after them. So no cut waits for SPI, and no servo is powered before its
+requested before its SPI frames, its feeds after them. So no cut waits for SPI, and no servo is powered before its
 Stop or its angle is written.
-
-A deaf controller may still drive servos. After a fault, one servo is powered alone; the others follow once its current
-shows that it rests.
 """
 
 import json
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 from gateway.model.frames import legs_of
 from gateway.model.power_board import SUPPLY_BATTERY_MV
 from gateway.rate_limit import NS_PER_MS, NS_PER_S
-from gateway.robot.core.events import Announce, PowerSeen
+from gateway.robot.core.events import Announce, ClearErrors, Cut, Effect, Feed, PowerSeen
 from gateway.robot.core.message import Received, Verb
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.power.board import Confirmed, News, PowerBoard, Then
@@ -27,19 +21,10 @@ from gateway.robot.power.line import PowerLine
 from gateway.robot.spi import Wire
 from gateway.robot.spi.cyclic import CyclicBus
 from schemas.keys import ESTOP
-from schemas.robot import LEGS, SERVO_IDS
-from schemas.telemetry import Kind, Mode
+from schemas.telemetry import Kind
 
 STUCK_BEATS: Final = 30
 """Beats without progress, 3 s; a line polls a hundred times a second."""
-_WHY: Final = {
-    Mode.ESTOPPED: "for the emergency stop",
-    Mode.BUS_FAULT: "since the controller cannot be commanded to stop",
-    Mode.STOPPING: "since the gateway ends",
-}
-_DREW: Final = "it drew current after its Stop; a reset feeds it again"
-_DEAF: Final = "servo {} drew current before it was started: the controller does not obey; a reset lets it try again"
-_TAKEN: Final = "another program has switched it off; a reset feeds it again"
 _NONE: Final = frozenset[int]()
 MOST_WAITING: Final = 256
 """Answers that wait for the board: each keeps a Zenoh query and up to 64 KiB of its receive buffer, 16 MiB together.
@@ -112,65 +97,50 @@ class RobotSupply:
         self._ready = wire.ready_servos if isinstance(wire, CyclicBus) else None
         """Returns those of the given servos whose angle is on the wire, if supply starts servos; else None."""
         self._asked = _NONE
-        self._to_feed: Mapping[int, int | None] = {}
-        """`Legs.to_feed` after the latest step."""
+        self._feed: Mapping[int, int | None] = {}
+        """The servos to power. Without an angle on the wire they are not powered yet."""
         self._changes = 0
         """How often `_asked` has changed. A confirmation of an earlier value does not count for the present one."""
-        self._cause: tuple[str | None, int] = None, 0
-        """Why all supply is cut, and the number of the newest emergency stop; as of the latest step."""
-        self._cut = False
-        self._trusted = False
-        """Whether a powered servo was seen at rest since the last fault, or supply starts servos."""
-        self._withheld: dict[int, str] = {}
-        """Servos not powered before a reset, and why. The board blocks others (`Status.refused`)."""
         self._judged: dict[int, Judged] = {}
         self._found: list[_Finding] = []
-        self._changed = False
-        """Whether a reset or a servo's current has changed something; the board reports neither."""
+        self._rests = False
+        """Whether a powered servo that does not run was seen at rest."""
         self._polled_ns = self._stuck_beats = 0
         self._waiting: set[Then] = set()
         """Answers that wait for the board."""
         self._ask(_NONE)
 
-    # ---- what a step decides
+    # ---- a step's effects
 
-    def before_step(self) -> list[Announce]:
-        """Request the step's cuts, before its frames. Return the events to publish after them."""
-        supervisor = self._supervisor
-        why, outside = _WHY.get(supervisor.mode), supervisor.outside.closed
-        if outside:
-            self._withheld |= dict.fromkeys(self._asked, _TAKEN)  # `stop-servos` cuts power even if nothing shows it
-        if why or outside or not supervisor.power.alive:
-            self._trusted = self._ready is not None
-        if why and (why, supervisor.latch.number) != self._cause:  # even if nothing was asked: others may have fed it
-            self.line.request(PowerBoard.cut)
-        self._cause = why, supervisor.latch.number
-        cuts = why is not None and bool(self._asked)
-        self._cut = self._cut or cuts
-        self._to_feed = supervisor.legs.to_feed()
-        self._ask(self._asked & self._to_feed.keys())
-        return [Announce(Kind.POWER_CUT, f"the servos' supply is cut, {why}", legs=tuple(LEGS))] if cuts else []
+    def before_frames(self, effects: Sequence[Effect]) -> None:
+        """Request a step's cut."""
+        for effect in effects:
+            if type(effect) is Cut:
+                if effect.everything:
+                    self.line.request(PowerBoard.cut)
+                self._feed = {each: angle for each, angle in self._feed.items() if each in effect.keep}
+                self._ask(self._asked & effect.keep)
 
-    def after_step(self) -> None:
-        """Request the step's powering, after its frames."""
-        wanted = frozenset(self._to_feed) if self._ready is None else self._ready(self._to_feed)
-        wanted = wanted.difference(self._withheld, self.line.status.refused)
-        if not self._trusted and wanted:
-            wanted = wanted & self._asked or frozenset([min(wanted)])
-        if wanted != self._asked:
-            self._ask(wanted)
+    def after_frames(self, effects: Sequence[Effect], *, fault: bool) -> None:
+        """Request what a step feeds, unless a frame has failed: the step for the fault follows, and feeds nothing."""
+        for effect in effects:
+            if type(effect) is ClearErrors:
+                self._judged.clear()
+                self.line.request(PowerBoard.clear_errors)
+            elif type(effect) is Feed and not fault:
+                self._feed = effect.servos
+                self.feed_ready()
+
+    def feed_ready(self) -> None:
+        """Power the servos to feed. If supply starts servos, power those whose angle is on the wire."""
+        ready = frozenset(self._feed) if self._ready is None else self._ready(self._feed)
+        if ready != self._asked:
+            self._ask(ready)
 
     def _ask(self, servos: frozenset[int]) -> None:
         changes = self._changes = self._changes + (servos != self._asked)
         self._asked = servos
         self.line.request(lambda board, now_ns: board.want(servos, changes, now_ns))
-
-    def reset(self) -> None:
-        """Allow blocked and cut servos to be powered again, after an accepted reset."""
-        self._withheld.clear()
-        self._judged.clear()
-        self._changed = True
-        self.line.request(PowerBoard.clear_errors)
 
     # ---- news of the board
 
@@ -203,14 +173,13 @@ class RobotSupply:
             unfed = fed_run - status.supplied  # their power is on its way: they may draw current or not
             drawn = {each: ma for each, ma in status.currents_ma.items() if each not in unfed}
             self._found += findings(self._judged, drawn, fed_run, now_ns)
-            if not self._trusted and any(drawn.get(each, IDLE_MA + 1) <= IDLE_MA for each in self._fed - run):
-                self._trusted = self._changed = True
-        return self._changed or bool(self._found)
+            self._rests = any(drawn.get(each, IDLE_MA + 1) <= IDLE_MA for each in self._fed - run)
+        return bool(self._found) or (self._rests and not self._supervisor.power.trusted)
 
     def take_news(self, news: Iterable[News | Confirmed]) -> tuple[PowerSeen, list[Announce]]:
         """Take the board's news. Return the event for the supervisor, and the events to publish."""
         announcements, doubt, status = list[Announce](), "", self.line.status
-        found, self._found, self._changed = self._found, [], False
+        found, self._found, rests, self._rests = self._found, [], self._rests, False
         for each in news:
             if isinstance(each, Confirmed):
                 self._waiting.discard(each.then)
@@ -219,24 +188,12 @@ class RobotSupply:
             announcements.append(Announce(Kind(each.kind), each.detail, legs=legs_of(each.servos)))
             if each.kind == "power_unconfirmed" and status.alive:
                 doubt = each.detail
-        for servo_id, kind, detail in found:
-            announcements.append(Announce(kind, detail, legs=legs_of([servo_id])))
-            if kind is not Kind.SERVO_DRAWS:
-                continue
-            why, self._withheld[servo_id] = detail, _DREW
-            if servo_id in self._asked:
-                why = "" if self._trusted else _DEAF.format(servo_id)
-                self._withheld |= dict.fromkeys(SERVO_IDS if why else (), why)
-            doubt = doubt or why
-        if self._cut and status.supplied & self._asked:
-            self._cut = False
-            announcements.append(Announce(Kind.POWER_RESTORED, "the power board feeds servos again"))
-        self._withheld |= dict.fromkeys(status.taken - status.refused.keys(), _TAKEN)  # such as by `stop-servos`
-        if status.lost - status.taken - status.refused.keys():  # a silence, perhaps over by now: it may have restarted
-            self._trusted = self._ready is not None
-        refused = self._withheld | {servo: f"{why}; a reset feeds it again" for servo, why in status.refused.items()}
-        fed = self._fed if self._trusted else _NONE
-        return PowerSeen(status.alive, tuple(sorted(refused.items())), fed, status.lost, doubt), announcements
+        announcements += [Announce(kind, detail, legs=legs_of([servo_id])) for servo_id, kind, detail in found]
+        drew = tuple((servo_id, detail) for servo_id, kind, detail in found if kind is Kind.SERVO_DRAWS)
+        refused = tuple(sorted(status.refused.items()))
+        taken, supplied = status.taken, status.supplied
+        seen = PowerSeen(status.alive, refused, self._fed, status.lost, doubt, taken, supplied, drew, rests)
+        return seen, announcements
 
     # ---- answers that wait until the board confirms that servos are off
 

@@ -687,7 +687,6 @@ def test_some_wait_for_the_board_and_further_ones_learn_at_once_that_nothing_is_
 def test_what_was_fed_before_the_latest_request_does_not_count() -> None:
     line = SimpleNamespace(request=lambda _: None, status=Status(alive=True, fed=frozenset({11})))
     supply = RobotSupply(cast(PowerLine, line), Supervisor(Rules(power=True)), cast(Wire, None))
-    supply._trusted = True
     supply._ask(frozenset({11}))
     assert supply.take_news([])[0].fed == frozenset()
     line.status = line.status._replace(changes=1)

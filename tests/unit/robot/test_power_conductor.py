@@ -185,7 +185,8 @@ async def test_a_step_whose_frames_fail_feeds_nothing(monkeypatch: pytest.Monkey
     monkeypatch.setattr(robot.line.ours, "want", lambda servos, *_: asked.append(servos))
     robot.controller.fail_where(lambda _: True)
     robot.put(keys.LEGS_COMMAND, {"legs": {"3": leg("set", 91, 91, 91), "4": START}})
-    assert frozenset[int]().union(*asked) == LEG_3_SERVOS
+    assert asked
+    assert not any(asked)
 
 
 def _cleared(robot: FedRobot) -> None:
@@ -385,12 +386,12 @@ async def test_a_switch_that_has_melted_is_found_by_the_current_and_stops_the_wh
     assert robot.said[-1][1] == "shutdown"
 
 
-async def test_each_stopped_servo_that_draws_waits_for_a_reset_whatever_else_is_found() -> None:
+async def test_each_stopped_servo_that_draws_is_reported_to_the_core_whatever_else_is_found() -> None:
     supply = (await runs()).conductor.supply
     assert supply is not None
     supply._found = [(11, Kind.SERVO_SILENT, ""), (12, Kind.SERVO_DRAWS, ""), (21, Kind.SERVO_DRAWS, "")]
     seen, announced = supply.take_news(())
-    assert [servo_id for servo_id, _ in seen.refused] == [12, 21]
+    assert [servo_id for servo_id, _ in seen.drew] == [12, 21]
     assert len(announced) == 3
 
 

@@ -7,7 +7,7 @@ from typing import Final
 
 from gateway.model.frames import SETS, STARTS
 from gateway.rate_limit import NS_PER_MS
-from gateway.robot.core.events import BusOpened, Command, PowerSeen, TimePassed, Transmit
+from gateway.robot.core.events import BusOpened, Command, Feed, PowerSeen, TimePassed, Transmit
 from gateway.robot.core.rules import Rules
 from gateway.robot.core.supervisor import Supervisor
 from tests.support.scenes import play, scene_test
@@ -79,7 +79,8 @@ def test_a_robot_whose_supply_starts_a_servo_goes_from_the_angle_that_was_on_the
     assert robot.legs.to_feed() == {31: 90_00}
     robot.step(Command(((31, SETS[45_00]),), number=2), 100 * NS_PER_MS)
     assert robot.legs.to_feed() == {31: 90_00}, "as long as the start waits"
-    (start,) = robot.step(PowerSeen(alive=True, fed=frozenset({31})), 200 * NS_PER_MS)
+    start, feed = robot.step(PowerSeen(alive=True, fed=frozenset({31})), 200 * NS_PER_MS)
+    assert isinstance(feed, Feed)
     assert isinstance(start, Transmit)
     ((_, op),) = start.frame.servos
     assert op == STARTS[90_00], "no jump to 45"
@@ -157,7 +158,7 @@ WITH_LEG_3_FED: Final = {
     "what the board blocks does not start and all else does": """
         20 board (refused 12 21) → nothing
         30 leg 1 start 90 → rejected 2 no_power
-        says servo 12 is not fed: overcurrent
+        says servo 12 is not fed: overcurrent; a reset feeds it again
         40 servo 11 start 90 → nothing
         45 board (refused 12 21) → command 11 start 90; completed 3
         50 leg 3 set 80 → command 3 set 80; completed 4
@@ -173,3 +174,69 @@ WITH_LEG_3_FED: Final = {
         60 leg 3 start 90 → rejected 5 no_power""",
 }
 test_a_scene_in_which_leg_3_runs = scene_test(WITH_LEG_3_FED, FED)
+
+
+UNTRUSTED: Final = """rules power=True
+ 5 board (fed none, rests no)
+ 10 leg 3 start 90 → nothing
+"""
+"""The board answers, and no servo was seen at rest yet."""
+SUPPLY: Final = {
+    "one servo is fed alone until it was seen at rest": """
+        supply feed 31
+        20 board (fed 31, rests no) → nothing
+        30 board (fed 31) → nothing
+        supply feed 31 32 33
+        40 board → command 3 start 90; completed 1""",
+    "a servo that draws before its start is fed alone means that the controller is deaf": """
+        20 board (drew 31, rests no) → watchdog 1-6 stop; rejected 1 no_power
+        supply cut but none; feed none
+        30 leg 4 start 90 → rejected 2 no_power
+        mentions servo 31 drew current before it was started: the controller does not obey; a reset lets it try again
+        40 reset → completed 3
+        supply clear errors
+        50 leg 4 start 90 → nothing
+        supply feed 41""",
+    "an emergency stop cuts all power each time and nothing is fed before a reset": """
+        20 estop → estop 1-6 stop; rejected 1 estopped; announce estop_engaged; announce power_cut
+        supply cut; feed none
+        30 estop → estop 1-6 stop
+        supply cut
+        40 reset (estop 2) → announce estop_reset; completed 2
+        50 leg 3 start 90 → nothing
+        supply feed 31
+        60 board (rests no) → nothing
+        70 board (supplied 31, fed 31) → announce power_restored
+        supply feed 31 32 33""",
+    "a bus fault cuts all power": """
+        20 fail → rejected 1 bus_fault; announce bus_fault; announce power_cut
+        supply cut; feed none""",
+    "a servo that another program has switched off waits for a reset": """
+        20 board → command 3 start 90; completed 1
+        30 board (lost 32, taken 32) → watchdog 3 stop
+        40 servo 31 start 90 → nothing
+        supply feed 31
+        50 servo 32 start 90 → rejected 3 no_power
+        says servo 32 is not fed: another program has switched it off; a reset feeds it again
+        60 servo 33 start 90 → nothing
+        supply feed 31 33""",
+    "after a silence of the board one servo is fed alone again": """
+        20 board → command 3 start 90; completed 1
+        30 board (lost 32, rests no) → watchdog 3 stop
+        40 leg 4 start 90 → nothing
+        supply feed 41""",
+    "a stopped servo that draws though nobody feeds it stops all and waits for a reset": """
+        20 board → command 3 start 90; completed 1
+        30 board (drew 12) → watchdog 1-6 stop
+        supply cut but none; feed none
+        40 leg 1 start 90 → rejected 2 no_power
+        says servo 12 is not fed: it drew current after its Stop; a reset feeds it again""",
+    "stop-servos leaves what was fed to a reset": """
+        20 outside begins → repeat 1-6 stop; rejected 1 servo_stopped; announce stopped_outside
+        supply cut but none; feed none
+        30 outside ends
+        40 servo 31 start 90 → rejected 2 no_power
+        50 servo 32 start 90 → nothing
+        supply feed 32""",
+}
+test_a_scene_of_the_supply = scene_test(SUPPLY, UNTRUSTED)

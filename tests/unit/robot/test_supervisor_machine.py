@@ -73,6 +73,10 @@ BOARDS = st.builds(
     st.sampled_from([frozenset(SERVO_IDS), frozenset(SERVO_IDS), frozenset({11, 12, 13, 21}), frozenset[int]()]),
     st.sampled_from([frozenset[int](), frozenset[int](), frozenset({11}), frozenset({33, 62})]),
     st.sampled_from(["", "", "", "it is not confirmed"]),
+    st.sampled_from([frozenset[int](), frozenset[int](), frozenset({11}), frozenset({33, 62})]),
+    st.sampled_from([frozenset[int](), frozenset(SERVO_IDS), frozenset({11})]),
+    st.sampled_from([(), (), (), (), ((11, "it draws"),), ((12, "it draws"), (33, "it draws"))]),
+    st.booleans(),
 )
 WAITS_NS = st.one_of(
     st.just(0),
