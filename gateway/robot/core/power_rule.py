@@ -33,7 +33,7 @@ _TAKEN: Final = "another program has switched it off; a reset feeds it again"
 
 
 class PowerRule(Interlock[PowerSeen]):
-    """What the power board powers, and what it refuses to."""
+    """What the power board powers, and which servos wait for a reset."""
 
     takes = (PowerSeen,)
     objection = (Reason.NO_POWER, SILENT)
