@@ -1,4 +1,4 @@
-"""The black box's files and incidents. `people.recorder.ring_reader` has what a record contains.
+"""The black box's files and incidents. `people.incidents.ring_reader` has what a record contains.
 
 A file begins with a page that has magic, version, the size of a slot, and how many there are (`new_header`). Slots of
 SLOT bytes follow. The record with sequence number n is in slot n modulo the number of slots:
@@ -17,7 +17,8 @@ A process that is killed while it writes leaves a slot with a wrong checksum. Nu
 
 Commands, decisions and frames are packed by hand, since a gait writes many: a frame takes 0.3 µs, by a declarative
 table 3.5 µs, by `construct` 20.9 µs (10.2 compiled). Their texts are UTF-8, preceded by their length, so that a new
-reason or cause needs no new version. Measurements are as the controller sends them; other records are JSON.
+reason or cause needs no new version. A command key has a number, so a new key needs one. Measurements are as the
+controller sends them; other records are JSON.
 """
 
 import json
@@ -31,6 +32,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from gateway.model.frames import ServoOp
+from schemas.keys import COMMAND_KEYS
 from schemas.telemetry import Kind
 
 HEADER_BYTES: Final = 4096
@@ -54,12 +56,16 @@ pack_slot_into: Final = _SLOT.pack_into
 START, END, COMMAND, DECISION, FRAME, NOTE, EVENT, INCIDENT, MORE, CLOCK, CARRIED_OUT, CALIBRATION = range(1, 13)
 ABOUT: Final = 13
 MEASURED: Final = 14
+STEP, KEYFRAME, GAP = range(15, 18)
+"""The journal, with commands: an event of the core that is no such command, its state, and the lack of an event."""
 
 
 ACCEPTED: Final = "accepted"
 COALESCED: Final = "coalesced"
 """Verdicts of a decision, next to the reasons of rejections."""
 
+SETTINGS: Final = ("spi", "watchdog", "limits", "lease", "buttons", "safety")
+"""The sections of the settings that are recorded: what the core's rules follow from, but for wire and power board."""
 STOP_FACTS: Final = ("stop_servos_first_ns", "stop_servos_last_ns")
 """Facts of a start: the times of `gateway.robot.host.stop_note`, if `stop-servos` ran before it."""
 
@@ -108,7 +114,11 @@ def newest(buffer: Any, slots: int) -> int:
 
 # ---- content, by type: structures, and functions that return the bytes of a record's content
 
-COMMAND_HEAD: Final = struct.Struct("<IdB")
+COMMAND_HEAD: Final = struct.Struct("<IdIIIB")
+"""A command's number and `sent_ms`; then of its step, in ns, the time since its arrival (NO_STEP: none) and since the
+instant began; the lease's number (0: no token); how many targets follow."""
+STEP_HEAD: Final = struct.Struct("<q")
+"""When the step's instant began; the event follows, as JSON."""
 DECISION_HEAD: Final = struct.Struct("<I")
 FRAME_HEAD: Final = struct.Struct("<IIIB")
 _MOST_FRAME: Final = 14
@@ -116,7 +126,8 @@ _MOST_FRAME: Final = 14
 CARRIED_OUT_HEAD: Final = struct.Struct(f"<IIB{_MOST_FRAME}s")
 """A CarriedOut's time from arrival to the end of the transfer, and the transfer's duration, both in ns; the frame's
 length, and the frame. The command follows, as in a CommandRecord."""
-_UINT32: Final = 0xFFFFFFFF
+NO_STEP: Final = 0xFFFFFFFF
+_UINT32: Final = NO_STEP
 TARGET_STRUCTS: Final = tuple(struct.Struct("<" + "BH" * count) for count in range(19))
 _SENT_NOT: Final = float("nan")
 
@@ -138,6 +149,29 @@ def _texts(*texts: str | None) -> bytes:
     return made
 
 
+VERBS: Final = ("put", "delete", "get", "lost")
+KEYS: Final = tuple(COMMAND_KEYS)
+OTHER_KEY: Final = len(KEYS)
+ID_BYTES: Final = 16
+
+
+@lru_cache(200)
+def _sender(verb: str, key: str, source: str | None, source_id: str | None) -> bytes:
+    """Return a command's verb, key and sender: texts as in `_texts`, and a Zenoh id as 16 bytes.
+
+    A `source` that is the id is stored as "".
+    """
+    known = KEYS.index(key) if key in COMMAND_KEYS else OTHER_KEY
+    texts = _texts(*(key,) * (known == OTHER_KEY), None if source == source_id else source)
+    try:
+        number = int(source_id or "", 16)
+        sender = bytes((ID_BYTES,)) + number.to_bytes(ID_BYTES, "big")
+        sender = sender if f"{number:x}" == source_id else b""
+    except (ValueError, OverflowError):
+        sender = b""
+    return bytes((VERBS.index(verb), known)) + texts + (sender or b"\0" + _texts(source_id))
+
+
 def command(
     number: int,
     verb: str,
@@ -145,14 +179,19 @@ def command(
     source: str | None,
     sent_ms: float | None,
     targets: Sequence[tuple[int, ServoOp]],
+    source_id: str | None = None,
+    after_ns: int = NO_STEP,
+    waited_ns: int = 0,
+    lease: int = 0,
 ) -> bytes:
     """Bytes of a CommandRecord; `sent_ms` None is stored as NaN."""
     flat: list[int] = []
     for servo_id, op in targets:
         flat += (servo_id, _OF_OP[op.op] + op.angle_cdeg)
     count = len(targets)
-    fixed = COMMAND_HEAD.pack(number & _UINT32, _SENT_NOT if sent_ms is None else sent_ms, count)
-    return fixed + TARGET_STRUCTS[count].pack(*flat) + _texts(verb, key, source)
+    sent_ms = _SENT_NOT if sent_ms is None else sent_ms
+    fixed = COMMAND_HEAD.pack(number & _UINT32, sent_ms, after_ns, waited_ns, lease, count)
+    return fixed + TARGET_STRUCTS[count].pack(*flat) + _sender(verb, key, source, source_id)
 
 
 def decision(number: int, verdict: str, key: str, source: str | None) -> bytes:
@@ -180,6 +219,10 @@ def carried_out(
     source: str | None,
     sent_ms: float | None,
     targets: Sequence[tuple[int, ServoOp]],
+    source_id: str | None,
+    step_ns: int,
+    instant_ns: int,
+    lease: int,
     data: bytes,
     frame_ns: int,
     transfer_ns: int,
@@ -189,22 +232,22 @@ def carried_out(
     Unrolled for a leg's three servos: a gait sends only these, six times fifty a second.
     """
     after_ns = frame_ns - ns
-    texts = _texts(verb, key, source)
-    rest_bytes = _CARRIED_OUT_HEAD_BYTES + len(texts)
+    sender = _sender(verb, key, source, source_id)
+    rest_bytes = _CARRIED_OUT_HEAD_BYTES + len(sender)
     size = len(data)
     fits = rest_bytes <= ROOM and size <= _MOST_FRAME
-    if len(targets) != 3 or not fits or not 0 <= after_ns <= _UINT32:
+    if len(targets) != 3 or not fits or not ns <= step_ns <= frame_ns <= ns + _UINT32 or step_ns - instant_ns > _UINT32:
         return None
     (first, one), (second, two), (third, three) = targets
     fixed = _pack_carried_out(
         HEAD_BYTES + rest_bytes, CARRIED_OUT, 0, sequence, ns,
         after_ns, transfer_ns & _UINT32, size, data,
-        number & _UINT32, _SENT_NOT if sent_ms is None else sent_ms, 3,
+        number & _UINT32, _SENT_NOT if sent_ms is None else sent_ms, step_ns - ns, step_ns - instant_ns, lease, 3,
         first, _OF_OP[one.op] + one.angle_cdeg,
         second, _OF_OP[two.op] + two.angle_cdeg,
         third, _OF_OP[three.op] + three.angle_cdeg,
     )  # fmt: skip
-    return fixed + texts
+    return fixed + sender
 
 
 def fields(*values: object) -> bytes:
@@ -215,7 +258,7 @@ def fields(*values: object) -> bytes:
 
 # ---- the header
 
-VERSION: Final = 3
+VERSION: Final = 4
 MAGIC: Final = b"hexapod black box\n"
 
 

@@ -11,6 +11,7 @@ import math
 import os
 import stat
 import struct
+import zlib
 from array import array
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
@@ -30,9 +31,11 @@ from schemas.calibration import Calibration
 from schemas.telemetry import Cause
 
 _MAX_BYTES: Final = form.file_bytes(MAX_SLOTS)
+MOST_KEYFRAME: Final = 1_000_000
+"""Bytes of a keyframe: fifty times what a moving robot's has."""
 
 
-FORGED: Final = (ValueError, LookupError, ArithmeticError, TypeError, OSError, struct.error)
+FORGED: Final = (ValueError, LookupError, ArithmeticError, TypeError, OSError, struct.error, zlib.error)
 """What reading a forged record raises. A record that this program wrote raises none of them."""
 
 # ---- records
@@ -46,7 +49,11 @@ class Start(NamedTuple):
 
 
 class CommandRecord(NamedTuple):
-    """A decoded command; the record's time is its arrival. A Decision with its number follows (0: none does)."""
+    """A decoded command; the record's time is its arrival. A Decision with its number follows (0: none does).
+
+    Its step of the core came `after_ns` later (NO_STEP: the record of a Step has it, or there was none), `waited_ns`
+    after its instant had begun. `lease`: the number of its token, 0: none.
+    """
 
     number: int
     verb: str
@@ -54,6 +61,27 @@ class CommandRecord(NamedTuple):
     source: str | None
     sent_ms: float | None
     targets: tuple[tuple[int, ServoOp], ...]
+    source_id: str | None = None
+    after_ns: int = form.NO_STEP
+    waited_ns: int = 0
+    lease: int = 0
+
+
+class Step(NamedTuple):
+    """An event of the core, as `robot.blackbox.journal` writes it; the record's time is that of its step."""
+
+    instant_ns: int
+    event: dict[str, Any]
+
+
+class Keyframe(NamedTuple):
+    """The core's state between two steps, as `robot.blackbox.journal` writes it."""
+
+    text: bytes
+
+
+class Gap(NamedTuple):
+    """From here to the next keyframe, events are missing: a source had used up its share."""
 
 
 class Decision(NamedTuple):
@@ -112,7 +140,19 @@ class About(NamedTuple):
 
 
 Content = (
-    Start | CommandRecord | Decision | FrameWritten | EventPublished | Noted | WallTime | About | Calibration | Measured
+    Start
+    | CommandRecord
+    | Step
+    | Keyframe
+    | Gap
+    | Decision
+    | FrameWritten
+    | EventPublished
+    | Noted
+    | WallTime
+    | About
+    | Calibration
+    | Measured
 )
 """A Calibration is in force from then on. It is recorded every five seconds, and at each change."""
 
@@ -233,7 +273,7 @@ def _contents(slots: Mapping[int, form.Slot], number: int) -> Iterator[tuple[int
         try:
             after_ns, transfer_ns, length, data = form.CARRIED_OUT_HEAD.unpack_from(rest)
             command = rest[form.CARRIED_OUT_HEAD.size :]
-            accepted, _, _ = form.COMMAND_HEAD.unpack_from(command)
+            accepted, *_ = form.COMMAND_HEAD.unpack_from(command)
         except struct.error:
             return
         yield form.COMMAND, slot.ns, command
@@ -257,11 +297,31 @@ def _fields(kind: type[C]) -> Callable[[bytes], C]:
 
 
 def _command(rest: bytes) -> CommandRecord:
-    number, sent_ms, count = form.COMMAND_HEAD.unpack_from(rest)
+    number, sent_ms, *of_step, count = form.COMMAND_HEAD.unpack_from(rest)
     flat = form.TARGET_STRUCTS[count].unpack_from(rest, form.COMMAND_HEAD.size)
     targets = tuple((flat[index], _op(flat[index + 1])) for index in range(0, len(flat), 2))
-    verb, key, source = _read_texts(rest, form.COMMAND_HEAD.size + form.TARGET_STRUCTS[count].size, 3)
-    return CommandRecord(number, verb, key, source or None, sent_ms if math.isfinite(sent_ms) else None, targets)
+    sent_ms = sent_ms if math.isfinite(sent_ms) else None
+    verb, key, source, source_id = _sender(rest[form.COMMAND_HEAD.size + form.TARGET_STRUCTS[count].size :])
+    return CommandRecord(number, verb, key, source, sent_ms, targets, source_id, *of_step)
+
+
+def _sender(rest: bytes) -> tuple[str, str, str | None, str | None]:
+    """Return a command's verb, key, source and source_id."""
+    verb, number = form.VERBS[rest[0]], rest[1]
+    *keys, source = _read_texts(rest, 2, 1 + (number == form.OTHER_KEY))
+    end = 2 + sum(1 + len(text.encode()) for text in (*keys, source))
+    if rest[end]:
+        source_id = f"{int.from_bytes(rest[end + 1 : end + 1 + form.ID_BYTES], 'big'):x}"
+    else:
+        (source_id,) = _read_texts(rest, end + 1, 1)
+    return verb, keys[0] if keys else form.KEYS[number], source or source_id or None, source_id or None
+
+
+def _step(rest: bytes) -> Step:
+    event = from_json(rest[form.STEP_HEAD.size :])
+    if not isinstance(event, dict):
+        raise TypeError("an event is an object")
+    return Step(form.STEP_HEAD.unpack_from(rest)[0], event)
 
 
 def _decision(rest: bytes) -> Decision:
@@ -294,6 +354,9 @@ def _read_texts(rest: bytes, begin: int, count: int) -> list[str]:
 
 _READERS: Final[dict[int, Callable[[bytes], Content]]] = {
     form.COMMAND: _command,
+    form.STEP: _step,
+    form.KEYFRAME: lambda rest: Keyframe(zlib.decompressobj().decompress(rest, MOST_KEYFRAME)),
+    form.GAP: lambda _: Gap(),
     form.DECISION: _decision,
     form.FRAME: _frame,
     form.CALIBRATION: Calibration.model_validate_json,

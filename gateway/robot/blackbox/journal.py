@@ -17,6 +17,7 @@ A callable is null. A token is a keyed hash of itself, so that the journal shows
 """
 
 import sys
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from copy import copy
 from dataclasses import MISSING, fields, is_dataclass
@@ -223,26 +224,28 @@ def _names(part: Any) -> dict[str, None]:
     return dict.fromkeys(name for name in (*named, *slots, *getattr(part, "__dict__", ())) if name[:2] != "__")
 
 
-def _parts(part: Any, path: str, seen: set[int]) -> Iterator[tuple[str, Any, list[str]]]:
-    """Yield each part that is reached from this one: its path, itself, and the names of its values."""
-    seen.add(id(part))
-    values: list[str] = []
-    inner: list[tuple[str, Any]] = []
-    for name in _names(part):
-        value = getattr(part, name)
-        among = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, tuple) else ()
-        parts = (
-            [(name, value)] if _is_part(value) else [(f"{name}.{key}", each) for key, each in among if _is_part(each)]
-        )
-        inner += parts
-        if not parts and not callable(value) and id(value) not in seen:
-            values.append(name)
-            if isinstance(value, _MUTABLE):
-                seen.add(id(value))  # another part may have it, too
-    yield path, part, values
-    for name, each in sorted(inner, key=lambda named: "." in named[0]):  # names before places, which may change
-        if id(each) not in seen:
-            yield from _parts(each, f"{path}{name}.", seen)
+def _parts(root: Any) -> Iterator[tuple[str, Any, list[str]]]:
+    """Yield each part that is reached from this one, by the shortest path: its path, itself, and its values' names."""
+    seen, waiting = {id(root)}, deque([("", root)])
+    while waiting:
+        path, part = waiting.popleft()
+        values: list[str] = []
+        inner: list[tuple[str, Any]] = []
+        for name in _names(part):
+            value = getattr(part, name)
+            among = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, tuple) else ()
+            parts = [(name, value)] if _is_part(value) else []
+            parts += [(f"{name}.{key}", each) for key, each in among if _is_part(each)]
+            inner += parts
+            if not parts and not callable(value) and id(value) not in seen:
+                values.append(name)
+                if isinstance(value, _MUTABLE):
+                    seen.add(id(value))  # another part may have it, too
+        for name, each in sorted(inner, key=lambda named: "." in named[0]):  # names before places, which may change
+            if id(each) not in seen:
+                seen.add(id(each))
+                waiting.append((f"{path}{name}.", each))
+        yield path, part, values
 
 
 class Keyframes:
@@ -251,9 +254,9 @@ class Keyframes:
     def __init__(self, supervisor: Supervisor) -> None:
         rules = vars(supervisor)["_rules"]
         self._head = {"format": FORMAT, "rules": _Writer().plain(rules)}
-        live = {path: part for path, part, _ in _parts(supervisor, "", set())}
+        live = {path: part for path, part, _ in _parts(supervisor)}
         self._parts = []
-        for path, part, names in _parts(Supervisor(rules), "", set()):
+        for path, part, names in _parts(Supervisor(rules)):
             if names:
                 values_of = attrgetter("__class__", *names)
                 self._parts.append((path, live[path], ("", *names), values_of, values_of(part)))
@@ -278,7 +281,7 @@ def restored(keyframe: bytes | str, change: Callable[[Rules], Rules] = lambda ru
     if found["format"] != FORMAT:
         raise JournalError(f"its format is {found['format']}, and this version reads {FORMAT}")
     supervisor = Supervisor(change(_Reader().value(found["rules"])))
-    parts = {path: (part, names) for path, part, names in _parts(supervisor, "", set())}
+    parts = {path: (part, names) for path, part, names in _parts(supervisor)}
     reader = _Reader()
     for path, state in found["state"].items():
         part, names = parts.get(path, (None, ()))

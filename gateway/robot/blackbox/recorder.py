@@ -17,6 +17,9 @@ from functools import partial
 from pathlib import Path
 from threading import Lock
 from typing import Any, Final
+from zlib import compress
+
+from pydantic_core import to_json
 
 from gateway import __version__
 from gateway.files import durable
@@ -29,11 +32,23 @@ from gateway.model.calibration import RobotCalibration, report_of
 from gateway.model.elkapod import Measured
 from gateway.rate_limit import MOST_SOURCES, RateLimit, RateLimitBySource
 from gateway.robot.blackbox import ring as rings
+from gateway.robot.blackbox.journal import Keyframes, plain_event, token_number
 from gateway.robot.blackbox.ring import RecordRing
-from gateway.robot.core.events import Announce, Request, Result, Transmit
+from gateway.robot.core.events import (
+    Announce,
+    ButtonRequest,
+    Command,
+    EmergencyStop,
+    Event,
+    LeaseRequest,
+    Request,
+    Result,
+    Transmit,
+)
+from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.settings import Settings
 from gateway.robot.spi import Sent
-from schemas.telemetry import Cause, Kind, Mode
+from schemas.telemetry import Kind, Mode
 
 CHUNK: Final = 4096
 """Records copied at a time: half a megabyte of memory."""
@@ -102,12 +117,13 @@ LAG_NS: Final = 10_000_000
 CLOCK_NS: Final = 1_000_000_000
 ABOUT_NS: Final = 5_000_000_000
 """Period of records of version, settings and calibration. So also a short copy contains one."""
+KEYFRAME_NS: Final = 5_000_000_000
+"""Period of keyframes. So also a short copy contains one, and a replay begins that long before an incident."""
 MEASURED_NS: Final = 100_000_000
 """Shortest time between records of measurements: 1 % of the ring, and a fall takes longer."""
 
 EVENT_SLOTS: Final = 3
 """Slots of an event with a long sentence."""
-_ESTOP: Final = Cause.ESTOP  # see `frames.OP_STOP`
 LIMITED: Final = (
     frozenset({Kind.COMMAND_REJECTED, Kind.SOURCE_CHANGED, Kind.LEGS_STOPPED, Kind.OVERFLOW, Kind.CALIBRATED})
     | {kind for kind in Kind if kind.startswith(("lease_", "button_"))}
@@ -123,6 +139,25 @@ logger = logging.getLogger(__name__)
 
 Written = tuple[Transmit, Sent]
 """A written frame: the effect behind it, and the bus's data."""
+Taken = tuple[Event, int, int]
+"""A step's event, when it was taken, and when its instant began, both in ns."""
+FROM_CLIENTS: Final = (Request, EmergencyStop, LeaseRequest, ButtonRequest)
+"""Events that clients can cause at any rate."""
+
+
+def _accepted(written: Sequence[Written], decided: Sequence[Result]) -> Request | None:
+    """Return the command that a step's only frame has completed: it needs no Decision."""
+    commands = written[0][0].commands if len(written) == 1 else ()  # mutants accepted (Step): the only one
+    done = [request for request, verdict, _ in decided if verdict == ACCEPTED and commands == (request,)]
+    return done[0] if done else None
+
+
+def _of_command(event: Event, now_ns: int, instant_ns: int) -> tuple[int, int, int] | None:
+    """Return what a command's record contains of its step, or None if the event needs its own record."""
+    if type(event) is not Command or event.rejected is not None or event.lost:
+        return None
+    of_step = now_ns - event.received_ns, now_ns - instant_ns, 0 if event.lease is None else token_number(event.lease)
+    return of_step if all(0 <= each < form.NO_STEP for each in of_step) else None
 
 
 class Recorder:
@@ -144,6 +179,12 @@ class Recorder:
         """Records before the ring is open, for which the first Stops do not wait."""
         self._opening = Lock()
         """Held while the ring is being opened."""
+        self._event: Event | None = None
+        """Of the latest step."""
+        self._keyframes: Keyframes | None = None
+        self._keyframe_ns = 0
+        self._gap = False
+        """Whether the journal lacks an event since the latest keyframe."""
         self._clock_ns = 0  # of the latest record of the wall clock  # mutants accepted (Step): long ago
         self._about_ns = clock()
         self._calibration = b""
@@ -156,8 +197,8 @@ class Recorder:
         self._folder = state_directory(settings.state.path)
         """None: the black box is off, or closed."""
         about = {"version": __version__, "protocol": settings.protocol, "simulated": facts.get("simulated")}
-        spi, watchdog, limits = asdict(settings.spi), asdict(settings.watchdog), asdict(settings.limits)
-        self._about = form.fields({**about, "spi": spi, "watchdog": watchdog, "limits": limits})
+        sections = {name: asdict(getattr(settings, name)) for name in form.SETTINGS}
+        self._about = form.fields({**about, **sections})
         self._append(form.START, clock(), form.fields(wall_ns(), {"pid": os.getpid(), **facts}))
         self._append(form.ABOUT, self._about_ns, self._about)
 
@@ -202,50 +243,112 @@ class Recorder:
             self._ring.close()
             self._ring = None
 
-    def step(self, received: Request | None, written: Sequence[Written], decided: Sequence[Result]) -> None:
-        """Record a step: its command, if any, its frames, and the outcomes of commands.
+    def follow(self, supervisor: Supervisor) -> None:
+        """Write keyframes of this supervisor from now on. Call it between two steps."""
+        self._keyframes = Keyframes(supervisor)
+        self._take_keyframe(self._clock())
 
-        A request with the number 0 was rejected before the supervisor. If the sender has used up its share, the step is
-        omitted. Steps without a message, such as the watchdog's, are always recorded.
+    def _take_keyframe(self, now_ns: int) -> None:
+        if self._keyframes is not None:
+            self._append(form.KEYFRAME, now_ns, compress(self._keyframes.take(), 1))
+            self._keyframe_ns, self._gap = now_ns, False
+
+    def usual(self, command: Command, now_ns: int, instant_ns: int, written: Sequence[Written]) -> None:
+        """Record the step of a command that its frames have completed, as `step` does."""
+        if len(written) != 1 or not self._carried_out(command, now_ns, instant_ns, written[0]):
+            self.step((command, now_ns, instant_ns), written, ((command, ACCEPTED, ""),))
+
+    def _carried_out(self, command: Command, now_ns: int, instant_ns: int, written: Written) -> bool:
+        """Record a command and the frame that completed it as one record. Return False, with nothing done, if it
+        needs several."""
+        if self._ring is None or command.rejected is not None or command.lost:
+            return False
+        transmit, sent = written
+        token = command.lease
+        body = form.carried_out(
+            self._ring.sequence, command.received_ns, command.number, command.verb, command.key, command.source,
+            command.sent_ms, command.targets, command.source_id, now_ns, instant_ns,
+            0 if token is None else token_number(token), transmit.frame.data, sent.ns, sent.call_ns,
+        )  # fmt: skip
+        if body is None:
+            return False
+        self._event = command
+        if self._admit(command, 1, now_ns):
+            self._ring.put(body)
+        return True
+
+    def step(self, taken: Taken, written: Sequence[Written], decided: Sequence[Result]) -> None:
+        """Record a step: its event, its frames, and the outcomes of commands.
+
+        If the sender has used up its share, the step is omitted. Steps that no message causes, such as the watchdog's,
+        are always recorded.
         """
+        event, now_ns, instant_ns = taken
+        self._event = event
         if self._folder is None:
             return  # mutants accepted (Forget): nothing is kept all the same
-        # mutants accepted (Step): Stops of one cause
-        if received is not None or decided or (written and written[0][0].cause is _ESTOP):
-            # mutants accepted (Step): without a command, one source is decided about
-            request = received or (decided[0][0] if decided else None)
-            source = None if request is None else request.source  # an emergency stop's is read after its Stops
-            now_ns = written[0][1].ns if written else self._clock()  # mutants accepted (Step): some ms
-            alone = not written and received is not None  # a command has a record, besides its outcome's
-            count = len(written) + len(decided) + alone
-            if not self._shares.admit(source, count, now_ns):
+        accepted = _accepted(written, decided)
+        if type(event) is Command and accepted is event and len(decided) == 1:  # noqa: SIM102
+            if self._carried_out(event, now_ns, instant_ns, written[0]):
                 return
-        accepted = 0  # the number of a command accepted with the step's only frame: it needs no Decision
-        if len(written) == 1:
-            commands = written[0][0].commands  # mutants accepted (Step): the only one
-            for request, verdict, _ in decided:
-                if verdict == ACCEPTED and commands == (request,):
-                    accepted = request.number
-        if (one := received) is not None:
-            if accepted == one.number != 0 and len(decided) == 1 and self._ring is not None:
-                transmit, sent = written[0]  # mutants accepted (Step): the only one
-                body = form.carried_out(
-                    self._ring.sequence, one.received_ns, one.number, one.verb, one.key, one.source,
-                    one.sent_ms, one.targets, transmit.frame.data, sent.ns, sent.call_ns,
-                )  # fmt: skip
-                if body is not None:
-                    self._ring.put(body)
-                    return
-            fields = form.command(one.number, one.verb, one.key, one.source, one.sent_ms, one.targets)
-            self._append(form.COMMAND, one.received_ns, fields)
+        sender = event if isinstance(event, FROM_CLIENTS) else decided[0][0] if decided else None
+        count = len(written) + len(decided) + (not written)  # an accepted command has no Decision
+        # mutants accepted (Step): without a command, one source is decided about
+        if sender is not None and not self._admit(sender, count, now_ns):
+            return
+        of_step = _of_command(event, now_ns, instant_ns)
+        if of_step is None:
+            self._append(form.STEP, now_ns, form.STEP_HEAD.pack(instant_ns) + to_json(plain_event(event)))
+            of_step = form.NO_STEP, 0, 0
+        if isinstance(event, Request) and not (isinstance(event, Command) and event.lost):
+            self._request(event, *of_step)
+        number = 0 if accepted is None else accepted.number
         for transmit, sent in written:
             late_ns = 0 if transmit.deadline_ns is None else sent.ns - transmit.deadline_ns
-            fields = form.frame(transmit.frame.data, transmit.cause, sent.call_ns, late_ns, accepted)
+            fields = form.frame(transmit.frame.data, transmit.cause, sent.call_ns, late_ns, number)
             self._append(form.FRAME, sent.ns, fields)
+        self._decided([result for result in decided if result[0] is not accepted])
+
+    def broke(self, taken: Taken) -> None:
+        """Record the event that broke the gateway, unless its step is recorded."""
+        if taken[0] is not self._event:
+            self.step(taken, (), ())
+
+    def _admit(self, sender: Request | EmergencyStop | LeaseRequest | ButtonRequest, count: int, now_ns: int) -> bool:
+        """Return whether a step with so many records may be written. If not, the journal has a gap."""
+        admitted = self._shares.admit(sender.source, count, now_ns)
+        if not admitted and not self._gap:
+            self._gap = True
+            self._append(form.GAP, now_ns, b"")
+        return admitted
+
+    def request(self, request: Request | None, decided: Sequence[Result] = ()) -> None:
+        """Record a request that takes no step of its own, and its outcome."""
+        sender = request or decided[0][0]
+        if self._folder is not None and self._shares.admit(sender.source, 1 + len(decided), self._clock()):
+            if request is not None:
+                self._request(request, form.NO_STEP, 0, 0)
+            self._decided(decided)
+
+    def _request(self, one: Request, after_ns: int, waited_ns: int, lease: int) -> None:
+        fields = form.command(
+            one.number,
+            one.verb,
+            one.key,
+            one.source,
+            one.sent_ms,
+            one.targets,
+            one.source_id,
+            after_ns,
+            waited_ns,
+            lease,
+        )
+        self._append(form.COMMAND, one.received_ns, fields)
+
+    def _decided(self, decided: Sequence[Result]) -> None:
         for request, verdict, _ in decided:
-            number = request.number
-            if not number or number != accepted:
-                self._append(form.DECISION, self._clock(), form.decision(number, verdict, request.key, request.source))
+            fields = form.decision(request.number, verdict, request.key, request.source)
+            self._append(form.DECISION, self._clock(), fields)
 
     def mode(self, mode: Mode) -> None:
         """Record a change of the gateway's mode. Emergency stops and resets in turns use up a share."""
@@ -279,6 +382,8 @@ class Recorder:
             self._append(form.CLOCK, now_ns, form.fields(self._wall_ns()))
             for source, count in self._shares.left_out():
                 self._append(form.NOTE, now_ns, form.fields("left_out", f"{count} records", source))
+        if now_ns - self._keyframe_ns >= KEYFRAME_NS:
+            self._take_keyframe(now_ns)
         if now_ns - self._about_ns >= ABOUT_NS:
             self._about_ns = now_ns
             self._append(form.ABOUT, now_ns, self._about)

@@ -118,7 +118,8 @@ class Conductor:
     def start(self) -> None:
         """Open the bus, write the preamble, stop all six legs. Raises SpiError if any of that fails."""
         self.bus.open()
-        outcome = self.executor.carry_out(self.supervisor.step(BusOpened(), self.clock()))
+        outcome = self._decide(BusOpened(), self.clock())
+        self.recorder.follow(self.supervisor)
         if outcome.fault is not None:
             raise outcome.fault
         if outcome.meddled is not None:
@@ -281,9 +282,9 @@ class Conductor:
             command.rejected = Rejected(command, Reason.STALE, too_old)
         command.number = next(self.numbers)
         try:
-            outcome = self._usual(command, instant_ns, now_ns) or self._step(command, instant_ns, now_ns, command)
+            outcome = self._usual(command, instant_ns, now_ns) or self._step(command, instant_ns, now_ns)
         except Exception:
-            self.recorder.step(command, (), ())  # the command that broke the gateway
+            self.recorder.broke((command, now_ns, instant_ns))
             raise
         if self._lost_key and not outcome.rejects(command):
             self._lost_stops = not_started(self._lost_stops, command.targets)
@@ -295,7 +296,7 @@ class Conductor:
         effects = self.supervisor.usual(command, now_ns, instant_ns)
         if effects is None:
             return None
-        outcome = self.executor.carry_out_usual(effects, command)
+        outcome = self.executor.carry_out_usual(effects, command, now_ns, instant_ns)
         if outcome.fault is not None or outcome.meddled is not None:
             self._after_fault(outcome)
         elif self._announcing is not None:
@@ -315,7 +316,7 @@ class Conductor:
         command.rejected = Rejected(unread, why.reason, why.detail)
         command.number = unread.number = next(self.numbers)
         unread.received_ns = received.received_ns
-        self._step(command, instant_ns, command=command)
+        self._step(command, instant_ns)
 
     def _stop_what_lost_stops_named(self, instant_ns: int) -> None:
         key, self._lost_key = self._lost_key, ""
@@ -341,22 +342,28 @@ class Conductor:
             received_ns=received.received_ns,
             reply=received.reply,
         )
-        self.recorder.step(request, (), ())
+        self.recorder.request(request)
         if stop_frames >= len(LEGS):
             self.metrics.emergency_stops.record(latency_ns)
         number = self.supervisor.latch.number
         ack = Ack(accepted=True, stop_frames=stop_frames, estop=number, latency_us=latency_ns / 1000)
         self.executor.answer(request, ack, SERVO_IDS)
 
-    def _step(
-        self, event: Event, instant_ns: int | None = None, now_ns: int | None = None, command: Request | None = None
-    ) -> Outcome:
-        """Let the supervisor take an event, and carry out its effects. `command` is the event's request, to record."""
+    def _step(self, event: Event, instant_ns: int | None = None, now_ns: int | None = None) -> Outcome:
+        """Let the supervisor take an event, and carry out its effects."""
         now_ns = self.clock() if now_ns is None else now_ns
-        outcome = self.executor.carry_out(self.supervisor.step(event, now_ns, instant_ns), command)
+        outcome = self._decide(event, now_ns, instant_ns)
         self._after_fault(outcome)
         self._settle()
         return outcome
+
+    def _decide(self, event: Event, now_ns: int, instant_ns: int | None = None) -> Outcome:
+        taken = event, now_ns, now_ns if instant_ns is None else instant_ns
+        try:
+            return self.executor.carry_out(self.supervisor.step(*taken), taken)
+        except Exception:
+            self.recorder.broke(taken)
+            raise
 
     def _after_fault(self, outcome: Outcome) -> None:
         if outcome.meddled is not None:
@@ -385,11 +392,13 @@ class Conductor:
             return
         self.bus.release()
         kind = _KINDS.get(type(fault), Kind.BUS_FAULT)
-        effects = self.supervisor.step(BusFailed(str(fault), kind), self.clock())
+        now_ns = self.clock()
+        failed = BusFailed(str(fault), kind)
+        effects = self.supervisor.step(failed, now_ns)
         again, self._in_fault = self._in_fault, True
         if again and kind is not Kind.CONTROLLER_SILENT:
             effects = [each for each in effects if not (isinstance(each, Announce) and each.kind is kind)]
-        self.executor.carry_out(effects)
+        self.executor.carry_out(effects, (failed, now_ns, now_ns))
         if self.supervisor.mode is Mode.BUS_FAULT:
             self._reopen_timer.set_in(REOPEN_S if again else 0)
         self._settle()

@@ -8,7 +8,7 @@ from typing import Literal
 from gateway.errors import SpiError
 from gateway.model.black_box import ACCEPTED, COALESCED
 from gateway.model.frames import legs_of
-from gateway.robot.blackbox.recorder import Written
+from gateway.robot.blackbox.recorder import Taken, Written
 from gateway.robot.core.events import (
     Announce,
     Command,
@@ -118,7 +118,7 @@ class Executor:
 
     def reject(self, request: Request, reason: Reason, detail: str, received: Request | None = None) -> None:
         """Reject a message before the supervisor decides. `received` is its command, if it could be read."""
-        self.reports.recorder.step(received, (), ((request, reason, detail),))
+        self.reports.recorder.request(received, ((request, reason, detail),))
         self._end(request, reason, detail)
 
     def _end(self, request: Request, verdict: Verdict, detail: str) -> None:
@@ -154,17 +154,16 @@ class Executor:
         if found is not None:
             self.reports.announce(found)
 
-    def carry_out(self, effects: Sequence[Effect], command: Request | None = None) -> Outcome:
+    def carry_out(self, effects: Sequence[Effect], taken: Taken) -> Outcome:
         """Write the frames in batches, then record, answer and publish. Return the outcome.
 
-        `command` is the request of this step. The power board cuts servos before the frames, and powers servos after
-        them.
+        `taken` is what led to them. The power board cuts servos before the frames, and powers servos after them.
         """
         supply = self.supply
         if supply is not None:
             supply.before_frames(effects)
         outcome = self._write(effects)
-        self._end_all(outcome, command)
+        self._end_all(outcome, taken)
         for effect in effects:
             if type(effect) is not Announce:
                 continue
@@ -182,31 +181,31 @@ class Executor:
             supply.after_frames(effects, fault=outcome.fault is not None)
         return outcome
 
-    def carry_out_usual(self, moves: Sequence[Transmit], command: Command) -> Outcome:
+    def carry_out_usual(self, moves: Sequence[Transmit], command: Command, now_ns: int, instant_ns: int) -> Outcome:
         """Do what `carry_out` does with the frames of `Supervisor.usual`: one batch, which completes one command."""
         if self._follows or self.halts:
-            return self.carry_out(moves, command)
+            return self.carry_out(moves, (command, now_ns, instant_ns))
         report = self.bus.write([each.frame for each in moves])
         sent = report.sent
         if len(sent) < len(moves) or report.rejection is not None:
             outcome = Outcome(moves)
             self._record(moves, report, outcome)
             self._judge(outcome)
-            self._end_all(outcome, command)
+            self._end_all(outcome, (command, now_ns, instant_ns))
             return outcome
         metrics = self.reports.metrics
         metrics.frames[_COMMAND] += len(moves)
         metrics.accepted += 1
         command.written += tuple(command.by_leg)
         outcome = Outcome(moves, list(zip(moves, sent, strict=True)), None, (), None, [(command, ACCEPTED, "")])
-        self.reports.recorder.step(command, outcome.written, outcome.results)
+        self.reports.recorder.usual(command, now_ns, instant_ns, outcome.written)
         if command.reply is not None:
             self.answer(command, Ack(accepted=True))
         return outcome
 
-    def _end_all(self, outcome: Outcome, command: Request | None) -> None:
+    def _end_all(self, outcome: Outcome, taken: Taken) -> None:
         """Record a step, and end its requests."""
-        self.reports.recorder.step(command, outcome.written, outcome.results)
+        self.reports.recorder.step(taken, outcome.written, outcome.results)
         for result in outcome.results:
             self._end(*result)
 

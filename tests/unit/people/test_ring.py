@@ -141,7 +141,7 @@ def test_a_record_that_a_killed_gateway_began_states_nothing(path: Path) -> None
         b"short",
         form.new_header(40).ljust(form.file_bytes(40), b"\0"),
         form.new_header(50),
-        form.new_header(50).replace(b"\n\x03", b"\n\x01").ljust(form.file_bytes(50), b"\0"),
+        form.new_header(50).replace(b"\n\x04", b"\n\x01").ljust(form.file_bytes(50), b"\0"),
     ],
     ids=["a script", "short", "another size", "cut off", "another version"],
 )
