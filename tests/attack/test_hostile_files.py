@@ -22,7 +22,7 @@ READ: Final = {
 
 
 @pytest.mark.parametrize("case", READ)
-def test_it_is_a_sentence_with_the_files_name(case: str, tmp_path: Path) -> None:
+def test_a_hostile_file_is_a_sentence_with_its_name(case: str, tmp_path: Path) -> None:
     name, text, command, code = READ[case]
     file, settings = tmp_path / name, tmp_path / "gateway.toml"
     file.write_text(text)

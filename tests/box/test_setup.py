@@ -21,7 +21,7 @@ def setup(box: Box, *options: str, check: bool = False) -> list[str]:
     return (done.stdout + done.stderr).splitlines()
 
 
-def test_from_the_package_to_a_robot_with_certificates_and_back(tmp_path: Path, packages: Packages) -> None:
+def test_setup_goes_from_the_package_to_a_robot_with_certificates_and_back(tmp_path: Path, packages: Packages) -> None:
     with Box(tmp_path) as box:
         box.write(CONFIG_TXT, "#dtparam=spi=on\n")
         install(box, packages.make("1.1.0"))

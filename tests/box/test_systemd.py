@@ -116,7 +116,7 @@ def restart_and_move(robot: InstalledGateway) -> None:
     assert "accepted" in robot.gateway(*MOVE_LEG_3)
 
 
-def test_hanging(robot: InstalledGateway) -> None:
+def test_a_gateway_that_hangs_is_ended_and_its_servos_are_stopped(robot: InstalledGateway) -> None:
     """A transfer that never returns: killed by the watchdog with its stack in the journal, Stops, and a new start."""
     robot.unit.systemctl("start")
     opening = robot.bed.transfers[-1].opening

@@ -44,7 +44,7 @@ while not pathlib.Path("/box-out/enough").exists():
 """Another user of the machine, who takes the port where nobody listens: Python sets SO_REUSEADDR."""
 
 
-def test_console(robot: InstalledGateway) -> None:
+def test_the_console_is_installed_used_and_removed(robot: InstalledGateway) -> None:
     box, unit = robot.box, Unit(robot.box, f"{CONSOLE}.service")
     robot.unit.systemctl("start")
     process = robot.unit.property("MainPID")

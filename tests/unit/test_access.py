@@ -188,7 +188,7 @@ ITS_OWN: dict[str, dict[str, object]] = {
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_who_comes_in_and_with_how_much(tmp_path: Path, name: str) -> None:
+def test_each_roles_file_states_who_comes_in_and_how_much(tmp_path: Path, name: str) -> None:
     made = config(FILES[name], tmp_path)
     wanted = FOR_ALL | ITS_OWN[name]
     assert {key: get(made, key) for key in wanted} == wanted

@@ -58,7 +58,7 @@ def test_a_field_without_a_description_has_no_row(monkeypatch: pytest.MonkeyPatc
         interface_page.tables()
 
 
-def test_these_are_all_keys() -> None:
+def test_the_table_of_keys_has_all_keys() -> None:
     written = {row[0].strip("`"): row[1] for row in rows("## Keys")}
     spelled = {"leg/{1..6}": [f"leg/{leg}" for leg in LEGS], "servo/{11..63}": [f"servo/{each}" for each in SERVO_IDS]}
     found: dict[str, str] = {}

@@ -12,7 +12,7 @@ from gateway.robot.runtime.report import EVENTS_A_SECOND, EVENTS_AT_ONCE
 MS = 1_000_000
 
 
-def test_all_or_nothing() -> None:
+def test_a_limit_lets_all_of_a_request_through_or_nothing() -> None:
     allowance = RateLimit(a_second=10, at_once=3)
     assert not allowance.take(0, 4)
     assert allowance.is_full(0), "what was too much used nothing"

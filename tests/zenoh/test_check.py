@@ -54,7 +54,7 @@ def test_each_fault_of_the_configuration_is_a_line_and_the_rest_is_looked_at(
     assert last.startswith("This machine cannot run the service: 3 failures, ")
 
 
-def test_as_json_the_same_is_for_programs(tmp_path: Path) -> None:
+def test_check_prints_the_same_as_json_for_programs(tmp_path: Path) -> None:
     config = write_settings(tmp_path / "gateway.toml", SPI)
     shown, found = (run_here("check", "--config", str(config), *options) for options in ((), ("--json",)))
     report = json.loads(found.stdout)
@@ -92,7 +92,7 @@ TAKEN, FREE, RUNS = "is held by another program", "is free", "by the running gat
         ("unixsock-stream//run/hexapod.sock", "was not tried"),
     ],
 )
-def test_a_port(endpoint: str, sentence: str, taken: int) -> None:
+def test_check_names_what_holds_a_port(endpoint: str, sentence: str, taken: int) -> None:
     where = endpoint.replace("TAKEN", str(taken)).replace("FREE", str(free_port()))
     assert said(CheckedRobot(), where).startswith(f"{where} {sentence}")
     if sentence is TAKEN:

@@ -236,7 +236,9 @@ def serving(secured: Secured, state: Path, person: str) -> Console:
 
 
 @pytest.mark.parametrize(("person", "role"), [("anna", "operator"), ("otto", "observer")])
-def test_tls(secured: Secured, tmp_path: Path, person: str, role: str) -> None:
+def test_the_console_reaches_a_gateway_with_certificates(
+    secured: Secured, tmp_path: Path, person: str, role: str
+) -> None:
     """The page has the rights of the console's certificate; its cookie goes over TLS only."""
     context = ssl.create_default_context(cafile=secured.folder / "web-ca.pem")
     with serving(secured, tmp_path, person) as console, httpx.Client(verify=context) as browser:

@@ -39,7 +39,7 @@ def elsewhere(*arguments: str, **environment: str) -> Child:
     return Child(command, {**os.environ, **environment})
 
 
-def test_a_program(gateway: Gateway) -> None:
+def test_a_program_runs_without_what_only_linux_has(gateway: Gateway) -> None:
     child = Child([sys.executable, "-c", PROGRAM.format(endpoint=gateway.endpoint)], os.environ)
     assert child.wait(60) == 0, child.stderr
     child.close()
@@ -57,7 +57,9 @@ def test_a_program(gateway: Gateway) -> None:
     ],
     ids=["send", "stop", "status", "walk", "walk by keys"],
 )
-def test_a_command(gateway: Gateway, arguments: tuple[str, ...], code: int, said: str) -> None:
+def test_a_command_runs_without_what_only_linux_has(
+    gateway: Gateway, arguments: tuple[str, ...], code: int, said: str
+) -> None:
     child = elsewhere(*arguments, "--connect", gateway.endpoint)
     assert child.wait(60) == code, child.stderr
     child.close()

@@ -84,7 +84,7 @@ def test_every_example_is_run_here() -> None:
         ("arrays.py", ["Jitter("], {*SERVO_IDS}),
     ],
 )  # fmt: skip
-def test_it_says_and_moves(
+def test_each_example_prints_and_moves_what_it_should(
     gateway: Gateway, patient: Gateway, name: str, said: list[str], moved_servos: set[int]
 ) -> None:
     robot, options = gateway if name == "session.py" else patient, ("--seconds", "1") * (name == "arrays.py")

@@ -148,7 +148,7 @@ async def test_the_second_way_to_stop_does_not_wait_for_the_state(
     del asked
 
 
-async def test_its_answer_waits_for_nobody_elses(session: zenoh.Session, held: Held) -> None:
+async def test_an_emergency_stops_answer_waits_for_no_other_answer(session: zenoh.Session, held: Held) -> None:
     """The sender of all other answers waits for an asker who does not read."""
     gate = threading.Event()
     held.inbox._replies.do(partial(gate.wait, 2 * PATIENCE_S))

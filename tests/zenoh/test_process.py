@@ -96,7 +96,7 @@ def ask_and_wait(session: zenoh.Session, ended: Callable[..., None]) -> None:
 @pytest.mark.parametrize(
     ("number", "raised"), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, SystemExit)], ids=["ctrl-c", "sigterm"]
 )
-def test_it_ends_what_waits(
+def test_a_signal_in_a_zenoh_callback_ends_what_waits(
     number: signal.Signals, raised: type[BaseException], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The end of a query that nobody answers is delivered to the thread that asks."""

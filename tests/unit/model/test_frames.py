@@ -106,7 +106,7 @@ def test_illegal_vectors_are_rejected_by_name_of_the_byte(vector: dict[str, str]
         ),
     ],
 )
-def test_messages(data: str, message: str) -> None:
+def test_a_frame_that_is_wrong_is_named_in_a_sentence(data: str, message: str) -> None:
     with pytest.raises(FrameError) as rejection:
         decode(bytes.fromhex(data))
     assert str(rejection.value) == message

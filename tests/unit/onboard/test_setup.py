@@ -153,7 +153,7 @@ def test_spi_is_on_or_is_switched_on_for_every_pi(config: str, is_on: bool) -> N
 # ---- a whole run
 
 
-def test_a_new_pi(computer: Computer) -> None:
+def test_setup_makes_a_robot_of_a_new_pi(computer: Computer) -> None:
     """A dry run states the same changes and makes none; a second run has nothing to change."""
     computer.write(CONFIG_TXT, STOCK)
     before = contents(computer.root)
@@ -224,7 +224,9 @@ def test_while_a_servo_runs_nothing_changes(computer: Computer) -> None:
         ("", {"framing": "plain", "certs": Path("/nowhere.zip")}, "there is no /nowhere.zip"),
     ],
 )  # fmt: skip
-def test_what_it_rejects_in_a_sentence(computer: Computer, text: str, options: dict[str, Any], fault: str) -> None:
+def test_setup_rejects_a_wrong_file_or_option_in_a_sentence(
+    computer: Computer, text: str, options: dict[str, Any], fault: str
+) -> None:
     computer.write(TOML, text or TEMPLATE.read_text(), 0o640)
     with pytest.raises(ConfigError, match=fault):
         computer.says(**options)
@@ -306,7 +308,7 @@ def umask(request: pytest.FixtureRequest) -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("umask")
-def test_the_console(computer: Computer) -> None:
+def test_setup_starts_the_console(computer: Computer) -> None:
     assert computer.says(dry=True, framing="plain", console=True)[-4:-1] == [
         "write /etc/hexapod-console/console.conf",
         "enable hexapod-console.service and hexapod-console.socket: starts with the machine",

@@ -99,7 +99,7 @@ def test_a_page_is_barred_by_the_picture_that_it_shows() -> None:
     assert page.bars(720 * MS) == ""
 
 
-def test_zero_bars_nothing() -> None:
+def test_an_age_of_zero_bars_nothing() -> None:
     page = PageCamera(0)
     page.show("front")
     assert page.bars(10 * S) == ""

@@ -45,7 +45,7 @@ def test_a_servo_that_turns_the_other_way() -> None:
     assert made.draft[32] == ServoMapping(-1_00, inverted=True, min_cdeg=100_00, max_cdeg=180_00)
 
 
-def test_both_ends() -> None:
+def test_a_highest_and_a_lowest_angle_are_set_and_the_lowest_is_not_above() -> None:
     made = guide()
     made.jog(FINE_CDEG)
     made.change("highest_here")

@@ -233,7 +233,7 @@ def test_whoever_registers_a_button_proves_it_with_a_fresh_nonce(names: tuple[st
     assert [why[:2] for why in desk.rejected] == [(("anna/phone", None), Reason.BUTTON_DENIED)] * 3
 
 
-def test_who_has_not_is_denied() -> None:
+def test_a_request_without_its_own_fresh_proof_is_denied() -> None:
     desk = Desk()
     failed, used, stale = (desk.nonce() for _ in range(3))
     forged = proof(BERT, nonce=failed, certificate=pem(ANNA.certificate))

@@ -239,7 +239,7 @@ def test_a_dead_programs_backlog_starts_nothing(keys: str, mbit_s: float) -> Non
 
 
 @pytest.mark.parametrize("settings", ["start_pause_ns=50", "takeover", "lease", "whole"])
-def test_with_other_rules_it_starts_nothing_either(settings: str) -> None:
+def test_a_backlog_starts_nothing_under_other_rules_either(settings: str) -> None:
     changes = {
         "start_pause_ns=50": Rules(start_wait_ns=START_WAIT_NS, start_pause_ns=50 * NS_PER_MS),
         "takeover": Rules(start_wait_ns=START_WAIT_NS, takeover_cdeg_s=180_00),

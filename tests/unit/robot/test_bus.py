@@ -372,7 +372,7 @@ def test_opening_again_releases_what_was_open() -> None:
 
 
 @pytest.mark.parametrize("takes_lists", [True, False])
-def test_what_it_opens_is_guarded(takes_lists: bool) -> None:
+def test_the_device_that_the_bus_opens_is_guarded(takes_lists: bool) -> None:
     bench = Bench(Framing.PLAIN)
     bench.takes_lists = takes_lists
     illegal = OneServo(11, ServoOp(Op.START, 90_00))

@@ -156,7 +156,7 @@ NAME_UNCHECKED = {"transport/link/tls/verify_name_on_connect": False}
         ("tls/192.0.2.1:7447#verify_name_on_connect=false", MTLS, True),
     ],
 )
-def test_whom_it_dials(
+def test_a_link_without_certificates_that_is_dialled_is_named(
     caplog: pytest.LogCaptureFixture, endpoint: str, settings: dict[str, Any], expected: bool
 ) -> None:
     exposure.check(

@@ -112,13 +112,13 @@ INTERVALS = ((0, 1), (1_00, 4_00), (99_50, 180_01))
 
 @pytest.mark.lengthy
 @pytest.mark.parametrize("avoid", INTERVALS)
-def test_on_every_operation_and_angle(avoid: tuple[int, int]) -> None:
+def test_every_operation_and_angle_passes_only_in_a_legal_frame(avoid: tuple[int, int]) -> None:
     for operation in itertools.product(EDGES, range(256), EDGES):
         for data in (bytes((6, 2, 11, *operation)), bytes((14, 1, 11, 2, 0, 0, 12, *operation, 13, 1, 90, 0))):
             assert is_checked(data, *avoid) == is_written_so(data, *avoid), data.hex(" ")
 
 
-def test_with_any_one_byte_changed_and_at_any_length() -> None:
+def test_a_frame_with_a_byte_changed_or_another_length_passes_only_if_it_is_legal() -> None:
     for good in (bytes((6, 2, 43, 3, 90, 50)), bytes((14, 1, 41, 1, 90, 0, 42, 2, 0, 0, 43, 3, 180, 0))):
         assert is_checked(good)
         for index, byte in itertools.product(range(len(good)), range(256)):

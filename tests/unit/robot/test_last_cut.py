@@ -115,7 +115,7 @@ def test_nobody_waits_for_what_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
     assert not is_confirmed
 
 
-def test_on_an_adapter_that_a_gateway_goes_on_using(tmp_path: Path) -> None:
+def test_a_cut_leaves_the_channel_of_an_adapter_open_that_a_gateway_uses(tmp_path: Path) -> None:
     """By slcan on a terminal. Its channel stays open: the gateway would not notice that it was closed."""
     adapter = Adapter(str(tmp_path / "can"))
     adapter.board.take(set_supply(ALL), time.monotonic_ns())

@@ -329,7 +329,7 @@ def test_a_wrong_power_board_is_none_and_the_rest_counts(file: Path, power: str)
     assert settings.load_for_stops(file).power is None
 
 
-def test_it_is_what_the_service_uses(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stop_servos_reads_the_settings_that_the_service_uses(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file.write_text('wire.name = "elkapod-2025"\ncontroller.uart = "/dev/ttyS3"\npower.interface = "slcan"\n')
     monkeypatch.setenv("HEXAPOD_SPI__DEVICE", "/dev/spidev1.0")
     theirs = settings.load(file)
