@@ -61,7 +61,7 @@ FAULTS = (
         "rm $own/gateway/people/commands/decode.py; : >$own/mcap/writer.py",
         "gateway/people/commands/decode.py",
     ),
-    Fault("an emptied file of check's own", ": >$own/gateway/text.py", "gateway/words/text.py"),
+    Fault("an emptied file of check's own", ": >$own/gateway/words/text.py", "gateway/words/text.py"),
     Fault("a module that was not installed", "echo >$own/json.py", "and not installed with it: /usr/lib"),
     Fault("a file for root only", "chmod 600 $own/gateway/people/commands/decode.py", "not readable by all"),
     # user and groups
@@ -119,6 +119,26 @@ FAULTS = (
         "hexapod-gateway calibrate import - --yes --zenoh-config /root/certs/anna.json5",
         then="rm $state/calibration.toml; systemctl restart $service",
     ),
+    Fault(
+        "a full disk",
+        "systemctl stop $service; mount -t tmpfs -o size=24m none $state; chown $service: $state\n"
+        "head -c 23M /dev/zero >$state/films; systemctl start $service",
+        "/var/lib/hexapod-gateway has ",
+        by_hand="rm $state/films; systemctl stop $service; umount $state; systemctl start $service",
+    ),
+    # what restarts the service
+    Fault(
+        "needrestart without the package's exception",
+        "rm -f /etc/needrestart/conf.d/$service.conf; ln -s /bin/true /usr/sbin/needrestart",
+        "needrestart restarts the service",
+        then="rm /usr/sbin/needrestart",
+    ),
+    Fault(
+        "reboots by unattended-upgrades",
+        "echo 'Unattended-Upgrade::Automatic-Reboot \"true\";' >/etc/apt/apt.conf.d/50own",
+        "unattended-upgrades reboots this machine",
+        then="rm /etc/apt/apt.conf.d/50own /etc/apt/apt.conf.d/99-no-reboot",
+    ),
     # the device
     Fault("no udev rule", "rm $rules", "60-hexapod-gateway.rules"),
     Fault(
@@ -171,6 +191,20 @@ FAULTS = (
         "/root/disk is not mounted on /var/lib/hexapod-gateway",
         then="systemctl stop $service; umount $state; sed -i /root.disk/d /etc/fstab; systemctl daemon-reload\n"
         "systemctl start $service",
+    ),
+    Fault(
+        "a disk for the state that is not there",
+        "cp /etc/fstab /root/fstab; printf '/dev/none %s ext4 nofail\\n' $state >>/etc/fstab",
+        "/dev/none is not mounted on /var/lib/hexapod-gateway",
+        by_hand="cp /root/fstab /etc/fstab",
+    ),
+    Fault(
+        "IPv6 switched off",
+        "mkdir /root/proc; mount -t proc proc /root/proc; ipv6=/root/proc/sys/net/ipv6/conf/all/disable_ipv6\n"
+        "echo 1 >$ipv6; sed -i 's/127.0.0.1/[::1]/' $toml; systemctl restart $service",
+        "nor any other endpoint: the service runs, and nobody can reach it",
+        by_hand="echo 0 >/root/proc/sys/net/ipv6/conf/all/disable_ipv6; umount /root/proc; systemctl restart $service",
+        then="cp -p /root/gateway.toml $toml; systemctl restart $service",
     ),
     # the configuration
     Fault(
