@@ -77,7 +77,7 @@ _KNOWN: Final = (
         _ROBOT,
         "_rules legs lease buttons body power backlog calibrating _opened _fault latch _ended outside watchdog",
     ),
-    (_ROBOT, "_interlocks _own mode due_ns"),
+    (_ROBOT, "_interlocks _of_legs _own mode due_ns"),
     (_ROBOT, "usual_ns _has_usual"),  # `both_ways` shows that they change nothing
     (_ROBOT.outside, "_rules _legs"),
     (_ROBOT.watchdog, "_rules _legs expirations"),

@@ -7,7 +7,6 @@ from timer to timer (async-solipsism), so a test of ten seconds takes a millisec
 import asyncio
 import itertools
 import json
-from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any, TypeVar
@@ -17,7 +16,7 @@ from pydantic import BaseModel
 from gateway.errors import BatchRejectedError
 from gateway.model.frames import Frame, Framing, decode
 from gateway.robot.blackbox.recorder import Recorder
-from gateway.robot.core.message import Received, Verb
+from gateway.robot.core.message import Messages, Received, Verb
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.host.disk import StateFolder
 from gateway.robot.power.line import PowerLine
@@ -41,10 +40,9 @@ WALL_NS = 1_790_000_000_123_456_789
 """What the clock on the wall shows all the time."""
 
 
-class Robot:
+class Robot(Messages):
     """One conductor and its controller. Make it inside a running (virtual) loop."""
 
-    passed_over = 0
     start_wait_ns = 0
     """Starts without `sent_ms` leave at once, unless a test is about bursts of them; legs wait for no other, either."""
 
@@ -52,6 +50,7 @@ class Robot:
         self, sections: Mapping[str, Mapping[str, Any]] | None = None, state: StateFolder | None = None
     ) -> None:
         """`sections`: settings, and as "rules" what is no setting. `state`: keeps its calibration."""
+        super().__init__()
         sections = dict(sections or {})
         changed = {"start_wait_ns": self.start_wait_ns, **sections.pop("rules", {})}
         if "start_stagger_ms" not in sections.get("limits", {}):
@@ -68,8 +67,6 @@ class Robot:
         self.openings_ns: list[int] = []
         self.reports: list[tuple[str, BaseModel]] = []
         self._waiting: list[Received] = []
-        self.instant_open = False
-        self.estops = deque[Received]()
         self.conductor = Conductor(
             self.settings,
             Supervisor(replace(rules(self.settings), **changed)),

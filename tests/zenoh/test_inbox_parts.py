@@ -194,7 +194,7 @@ async def test_each_of_its_threads_that_ends_is_noticed(held: Held, end: Callabl
 async def test_an_instant_that_a_flood_left_open_is_closed_though_nothing_else_comes(
     held: Held, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    rings = SimpleNamespace(read=lambda _keys: [], instant_open=True)
+    rings = SimpleNamespace(read=lambda _keys: [], instant_open=True, passed_over=0)
     monkeypatch.setattr(held.inbox, "_rings", rings)
     assert list(held.inbox.take()) == []
     await held.woken()

@@ -47,8 +47,10 @@ class Interlock(Generic[Own]):
     """Why it rejects. A rule needs none if it has its own `why_not` and is never `down`."""
     down: Down | None = None
     """Why no servo may run, or None."""
+    of_legs = False
+    """Whether its deadlines are the legs', which `Legs.plan` knows. A halt voids these."""
     due_ns: int | None = None
-    """When `expire` is due, or None."""
+    """Its own next deadline, or None."""
 
     def __init__(self, rules: Rules, legs: Legs) -> None:
         self._rules = rules
@@ -59,11 +61,7 @@ class Interlock(Generic[Own]):
         return self.objection
 
     def expire(self, now_ns: int) -> list[Effect]:  # noqa: ARG002
-        """Handle its deadline `due_ns`, which `now_ns` has reached. Return the effects."""
-        return []
-
-    def overdue(self, now_ns: int) -> list[Effect]:  # noqa: ARG002
-        """Handle legs' deadlines that `now_ns` has reached. Return the effects."""
+        """Handle its deadlines, or the legs', that `now_ns` has reached. Return the effects."""
         return []
 
     def halts(self, event: Own) -> Halt | None:  # noqa: ARG002

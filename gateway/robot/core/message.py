@@ -51,35 +51,19 @@ class Received:
     reply: Reply | None = None
 
 
-class Messages(Protocol):  # mutants accepted (RemoveDecorator): for the type checker
-    """The inbox, as the conductor uses it."""
+class Messages:  # mutants accepted (FalseWithTrue, Step): nothing is taken before the inbox is connected
+    """The inbox, as the conductor uses it. By itself, no messages."""
 
-    estops: deque[Received]
-    """Emergency stops that are not carried out yet. The state's owner empties this queue before each message."""
-
-    @property
-    def passed_over(self) -> int:
-        """How many messages newer ones of their key have displaced before they were read one by one."""
-
-    @property
-    def instant_open(self) -> bool:
+    def __init__(self) -> None:
+        self.estops: deque[Received] = deque()
+        """Emergency stops that are not carried out yet. The state's owner empties this queue before each message."""
+        self.instant_open = False
         """Whether the next messages are of the same instant as the last."""
+        self.passed_over = 0
+        """How many messages newer ones of their key have displaced before they were read one by one."""
 
     def take(self) -> Iterable[Received]:
         """Return the other received messages, in the order in which they apply."""
-
-
-class NoMessages:  # mutants accepted (FalseWithTrue): nothing is taken before the inbox is connected
-    """No messages: stands in before the inbox is connected."""
-
-    instant_open = False
-    passed_over = 0
-
-    def __init__(self) -> None:
-        self.estops = deque[Received]()
-
-    def take(self) -> Iterable[Received]:
-        """Return nothing."""
         return ()
 
 

@@ -36,6 +36,7 @@ class PowerRule(Interlock[PowerSeen]):
     """What the power board powers, and which servos wait for a reset."""
 
     takes = (PowerSeen,)
+    of_legs = True
     objection = (Reason.NO_POWER, SILENT)
 
     def __init__(self, rules: Rules, legs: Legs) -> None:
@@ -66,7 +67,7 @@ class PowerRule(Interlock[PowerSeen]):
                 return Reason.NO_POWER, f"servo {servo_id} is not fed: {refused[servo_id]}"
         return None
 
-    def overdue(self, now_ns: int) -> list[Effect]:
+    def expire(self, now_ns: int) -> list[Effect]:
         if self._legs.landing_ends_ns is not None:
             return []
         since_ns = now_ns - self._rules.feed_ns

@@ -142,6 +142,8 @@ class Supervisor:
         """Use these interlocks, in this order."""
         found: dict[type, Any] = {type(each): each for each in interlocks}
         self._interlocks: tuple[Interlock[Any], ...] = tuple(found.values())
+        self._of_legs = tuple(each for each in reversed(self._interlocks) if each.of_legs)
+        """The watchdog last: it lands no robot for a leg that another rule stops."""
         self._own = {event: each for each in self._interlocks for event in each.takes}
         self.outside: Outside = found[Outside]
         self.lease: RobotLease = found[RobotLease]
@@ -186,8 +188,8 @@ class Supervisor:
                     effects += each.bring_down(now_ns)
         # 3. deadlines of legs
         if due:
-            for each in reversed(self._interlocks):  # the watchdog lands no robot for a leg that another rule stops
-                effects += each.overdue(now_ns)
+            for each in self._of_legs:
+                effects += each.expire(now_ns)
         self.watchdog.closed = legs.landing_ends_ns is not None
         # 4. what the event halts
         if halt is not None:

@@ -24,6 +24,7 @@ class Watchdog(Interlock[Never]):
     """The legs' deadlines, and the landing in progress: then it is `closed`."""
 
     bars = (Command, Calibrate)
+    of_legs = True
     objection = (Reason.LANDING, _LANDING)
 
     def __init__(self, rules: Rules, legs: Legs) -> None:
@@ -31,7 +32,7 @@ class Watchdog(Interlock[Never]):
         self.expirations = 0
         """How often a leg was silent for the timeout since the start."""
 
-    def overdue(self, now_ns: int) -> list[Effect]:
+    def expire(self, now_ns: int) -> list[Effect]:
         rules, legs = self._rules, self._legs
         if legs.landing_ends_ns is not None:
             if now_ns < legs.landing_ends_ns:

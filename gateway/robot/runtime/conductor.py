@@ -33,7 +33,7 @@ from gateway.robot.core.events import (
 )
 from gateway.robot.core.intake import read, stops_of
 from gateway.robot.core.losses import DETAIL, not_started, stops_in
-from gateway.robot.core.message import Messages, NoMessages, Outbox, Received, Verb
+from gateway.robot.core.message import Messages, Outbox, Received, Verb
 from gateway.robot.core.rejections import Rejection, echo_of
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.host.ownership import Ownership, OwnersTimer
@@ -91,7 +91,7 @@ class Conductor:
         self.metrics = self.reports.metrics
         self.executor = Executor(bus, self.supply, self.reports, publish_frames=settings.telemetry.frames)
         self._instant_ns = self.clock()  # mutants accepted (Forget): no instant is open before the first
-        self.messages: Messages = NoMessages()
+        self.messages = Messages()
         """Where received messages come from."""
         self.numbers = count(1)
         """The numbers of requests to the supervisor."""

@@ -25,7 +25,7 @@ from zenoh.handlers import RingChannel
 from gateway.host.realtime import LOOP_PRIORITY
 from gateway.host.worker import Worker
 from gateway.robot.core.intake import words_of_stop
-from gateway.robot.core.message import Received, Reply, Verb
+from gateway.robot.core.message import Messages, Received, Reply, Verb
 from gateway.robot.host.ownership import Ownership, OwnersTimer
 from gateway.robot.zenoh_io.questions import POLL_AGAIN_S, QUESTIONS_DEPTH, QuestionRing, TokenCheck, WokenRing
 from gateway.robot.zenoh_io.receiver import OwnersTask, Reader, ReceiverThread
@@ -55,7 +55,7 @@ _COMMANDS: Final = zenoh.KeyExpr(ALL_COMMANDS)
 logger = logging.getLogger(__name__)
 
 
-class Inbox:
+class Inbox(Messages):
     """Receives all messages. An owner of the state calls `take`, and makes its callbacks."""
 
     # mutants accepted (FalseWithTrue, Forget, Step): set before it is read; any number of equal Stops
@@ -80,12 +80,12 @@ class Inbox:
         `readers` read queries on other keys, each on its own thread without the state. On keys in `tokens`, queries
         with a valid token are read first. `depth` is how many puts of a key are kept (`put_depth`).
         """
+        super().__init__()
         self._loop = loop
         self._passed_over = depth - RING_DEPTH  # of a full ring
         self._wake = on_wakeup
         self._serve_estops = on_estop
         self._on_estop_received = on_estop_received
-        self.estops: deque[Received] = deque()
         self._others: deque[Received] = deque()
         self._woken: dict[str, int] = {}
         """Wakeups for each key since the last tick."""
@@ -137,16 +137,6 @@ class Inbox:
             ),
         ]
 
-    @property
-    def instant_open(self) -> bool:
-        """Whether the next messages belong to the same instant as the last."""
-        return self._rings.instant_open
-
-    @property
-    def passed_over(self) -> int:
-        """How many messages newer ones of their key have displaced."""
-        return self._rings.passed_over
-
     def take(self) -> Iterator[Received]:
         """Yield the rings' messages: `legs`, then `leg`, then `servo`, then resets.
 
@@ -157,6 +147,7 @@ class Inbox:
         # not been received yet precedes a frame whose rate slot has come.
         try:
             found = self._rings.read(() if self._read_all else self._woken)
+            self.instant_open, self.passed_over = self._rings.instant_open, self._rings.passed_over
         except zenoh.ZError:  # while the inbox closes, a tick may find its rings gone
             found = []
         taken: dict[str, int] = {}
@@ -170,7 +161,7 @@ class Inbox:
             yield self._others.popleft()
         if self._woken or self._read_all:
             self._look_for_missed(taken)
-        if self._rings.instant_open:
+        if self.instant_open:
             self._closing.set_in(FLOOD_PAUSE_S)  # to close the instant, if no further message does
 
     def makes_progress(self) -> bool:
