@@ -1,13 +1,21 @@
 """Programs that share a robot: who did it, and what stopped, by real clients of a real gateway."""
 
+import json
+import os
+import sys
 import warnings
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager, contextmanager
+from functools import partial
+from pathlib import Path
 
 import pytest
 
-from gateway.client import Client, Stream
-from gateway.errors import StoppedError
+from gateway.client import Client, LeaseError, StoppedError, Stream, Walk
+from gateway.people.client.stopped import DECIDES
 from schemas.telemetry import Cause, Kind
+from tests.support.child import Child
 from tests.support.fixtures import gateway_fixture, patient
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events
@@ -24,6 +32,14 @@ def two(gateway: Gateway) -> Iterator[tuple[Client, Client]]:
         yield first, second
 
 
+@contextmanager
+def started(client: Client) -> Iterator[Stream]:
+    """A stream that has started leg 1."""
+    with client.stream(50) as stream:
+        stream.set({1: POSE})
+        yield stream
+
+
 def hold(*streams: Stream) -> None:
     """Set leg 1 by these streams in turns, a second long."""
     for _ in range(50):
@@ -35,7 +51,7 @@ def test_two_programs_of_one_name_are_told_apart(two: tuple[Client, Client]) -> 
     """Each is warned that another program of its name takes its leg, and states and events name both sessions."""
     first, second = two
     happened = events(first)
-    with first.stream(50) as one, second.stream(50) as other:
+    with first.stream(50, lease=False) as one, second.stream(50, lease=False) as other:
         one.set({1: POSE})
         other.set({1: POSE})
         taken = happened.wait(lambda event: event.kind == Kind.SOURCE_CHANGED)
@@ -48,10 +64,144 @@ def test_two_programs_of_one_name_are_told_apart(two: tuple[Client, Client]) -> 
         assert len(warned) == 2
 
 
+@pytest.mark.parametrize("kind", ["stream", "walk"])
+def test_what_drives_has_the_lease_for_its_time(two: tuple[Client, Client], kind: str) -> None:
+    """A second program of the same name is rejected, by name; it drives once the first has ended."""
+    first, second = two
+
+    def drives(client: Client) -> AbstractContextManager[object]:
+        return client.walk() if kind == "walk" else started(client)
+
+    with drives(first):
+        assert first.state().lease.holder == NAME
+        with pytest.raises(LeaseError, match="the lease is held by another program named 'my gait'"), drives(second):
+            pass
+        assert not second.set_leg(1, *POSE, check=False).accepted
+    assert first.state().lease.holder is None
+    with drives(second):
+        assert second.state().lease.holder == NAME
+
+
+def test_a_stream_that_waits_for_a_reset_leaves_the_lease_to_whoever_resets(two: tuple[Client, Client]) -> None:
+    first, second = two
+    engaged = events(second)
+    with started(first) as stream:
+        second.estop("bert")
+        with pytest.raises(StoppedError) as stopped:
+            hold(stream)
+        assert stopped.value.cause == Kind.ESTOP_ENGAGED
+        engaged.wait(lambda event: event.kind == Kind.ESTOP_ENGAGED)
+        assert not second.reset(check=False).accepted
+        with ThreadPoolExecutor(1) as thread:
+            recovers = thread.submit(stream.recover, timeout_s=20)
+            engaged.wait(lambda event: event.kind == Kind.LEASE_RELEASED)
+            second.reset()
+            recovers.result()
+        stream.set({1: POSE})
+        assert first.state().lease.holder == NAME
+
+
+def test_a_stop_has_one_sentence_for_streams_and_walks(two: tuple[Client, Client]) -> None:
+    """It names a call that both have; `recover` raises the same error, since a person decides."""
+    first, second = two
+    with started(first) as stream:
+        second.stop()
+        with pytest.raises(StoppedError) as stopped:
+            hold(stream)
+        with pytest.raises(StoppedError) as again:
+            stream.recover()
+        assert again.value is stopped.value
+        assert stopped.value.__notes__ == [DECIDES]
+    for kind in (Stream, Walk):
+        assert callable(kind.start_again)
+
+
+def test_a_second_program_with_the_id_of_a_zenoh_file_stops_the_robot_all_the_same(
+    gateway: Gateway, tmp_path: Path
+) -> None:
+    file = tmp_path / "copied.json5"
+    file.write_text(json.dumps({"id": "ab12", "connect": {"endpoints": [gateway.endpoint]}}))
+    with Client(zenoh_config=file) as first:
+        with pytest.warns(UserWarning, match="does not admit the Zenoh id ab12"):
+            second = Client(zenoh_config=file)
+        with second:
+            assert first.zid == "ab12" != second.zid
+            assert second.estop().accepted
+            second.reset()
+
+
+def test_the_fork_of_a_program_leaves_its_robot_alone(gateway: Gateway) -> None:
+    """Zenoh's threads stay with the parent; a session in the child crashed the parent."""
+    program = f"""
+import os
+from gateway.client import Client, ZenohError
+with Client({gateway.endpoint!r}) as robot, robot.stream(50) as stream:
+    stream.set({{1: {POSE}}})
+    if os.fork() == 0:
+        for call in (robot.state, lambda: Client({gateway.endpoint!r}), robot.close):
+            try:
+                call()
+                print("no error", flush=True)
+            except ZenohError as error:
+                print(error, flush=True)
+        os._exit(0)
+    os.wait()
+    stream.set({{1: {POSE}}})
+    print(robot.state().leg(1).running, flush=True)
+"""
+    with Child([sys.executable, "-c", program], os.environ) as child:
+        assert child.wait(20) == 0, child.stderr
+    *refused, closed, runs = child.stdout.splitlines()
+    assert [text.partition(",")[0] for text in refused] == [
+        "this process is the fork of one that has opened a client"
+    ] * 2
+    assert (closed, runs) == ("no error", "True")
+
+
+@pytest.mark.parametrize(
+    "drives",
+    [
+        "lease = robot.lease(); lease.acquire()",
+        "stream = robot.stream(); stream.open(); stream.set({1: (90, 45, 120)})",
+    ],
+    ids=["lease", "stream"],
+)
+def test_a_program_that_drops_its_client_renews_no_lease_and_can_end(gateway: Gateway, drives: str) -> None:
+    program = f"""
+from gateway.client import Client
+robot = Client({gateway.endpoint!r}, source="dropped")
+robot.on_state(lambda state: None)
+{drives}
+lease = stream = robot = None
+print("dropped", flush=True)
+input()
+"""
+    with gateway.client() as watcher, Child([sys.executable, "-c", program], os.environ) as child:
+        told = events(watcher)
+        child.wait_for_output("dropped")
+        expired = told.wait(lambda event: event.kind == Kind.LEASE_EXPIRED)
+        assert expired.source == "dropped"
+        child.tell("")
+        assert child.wait(20) == 0, child.stderr
+
+
+@pytest.mark.parametrize("kind", ["stream", "walk"])
+def test_what_another_thread_has_closed_says_so(two: tuple[Client, Client], kind: str) -> None:
+    first, _ = two
+    part = first.stream(50) if kind == "stream" else first.walk()
+    use = partial(part.set, {1: POSE}) if isinstance(part, Stream) else part.go
+    with pytest.raises(RuntimeError, match="is used in a `with`"):
+        use()
+    part.open()
+    part.close()
+    with pytest.raises(RuntimeError, match=f"this {kind} is closed"):
+        use()
+
+
 def test_a_stop_by_another_program_of_the_same_name_is_not_this_programs(two: tuple[Client, Client]) -> None:
     first, second = two
     happened = events(second)
-    with warnings.catch_warnings(action="ignore"), first.stream(50) as one:
+    with warnings.catch_warnings(action="ignore"), first.stream(50, lease=False) as one:
         one.set({1: POSE, 4: POSE})
         second.stop(1)
         with pytest.raises(StoppedError) as stopped:

@@ -16,7 +16,7 @@ import zenoh
 from gateway import certs
 from gateway.certs import authority
 from gateway.client import Client, leg_payload
-from gateway.errors import ZenohError
+from gateway.errors import DisconnectedError, ZenohError
 from schemas import keys
 from schemas.telemetry import Kind, Mode
 from tests.support.command import Ended, run_here
@@ -121,6 +121,16 @@ def test_a_link_ends_when_its_certificate_expires(secured: Secured) -> None:
         assert list(session.get(keys.STATE))
         wait_until(lambda: not session.info.links(), "its end", 60)
         assert not list(session.get(keys.STATE, timeout=1))
+
+
+def test_a_client_whose_certificate_has_expired_says_so(secured: Secured, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = dt.datetime.now(dt.UTC) - dt.timedelta(days=1, seconds=-5)
+    monkeypatch.setattr(certs.folder, "now_utc", lambda: made)
+    certs.folder.issue(secured.folder, "dora", "operator", days=1)
+    with secured.client("dora") as client:
+        wait_until(lambda: not client.connected, "its end", 60)
+        with pytest.raises(DisconnectedError, match=r"dora\.pem expired on"):
+            client.state(timeout_s=1)
 
 
 def test_without_a_certificate_of_its_ca_nobody_comes_in(secured: Secured, tmp_path: Path) -> None:

@@ -3,13 +3,16 @@
 import json
 import math
 import operator
+import threading
 import time
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, Self, TypeVar
+from weakref import WeakKeyDictionary, finalize, ref
 
 import zenoh
 from pydantic import BaseModel
@@ -35,8 +38,8 @@ from gateway.people.client.payloads import (
     servo_number,
     servo_payload,
 )
-from gateway.people.client.process_end import close_at_the_end, keep_signals
-from gateway.people.client.question import JSON, EstopAck, Hosts, Question
+from gateway.people.client.process_end import check_fork, close_at_the_end, forked, keep_signals
+from gateway.people.client.question import JSON, EstopAck, Hosts, Question, close_later, taken_id
 from gateway.people.client.stream import Stream
 from gateway.people.client.subscriptions import NO_CONFIG, States, reads
 from gateway.words.own_command import command
@@ -93,6 +96,7 @@ class Client:
             raise ConfigError(f"a source has 1 to {keys.MAX_SOURCE} characters, and this one has {len(source)}")
         if not 0 < timeout_s < math.inf:
             raise ConfigError(f"timeout_s must be positive and finite, and is {timeout_s:g} s")
+        check_fork()
         file = None if zenoh_config is None else Path(zenoh_config).expanduser()
         config = client_config(endpoint, file)
         self._hosts = Hosts(config, timeout_s)
@@ -102,7 +106,7 @@ class Client:
             raise ConfigError(f"{file} names no gateway: set connect.endpoints in it, or give an endpoint")
         self._timeout_s = timeout_s
         self._source = source
-        self._closed = False
+        self._closed = threading.Event()
         self._answered: dict[str, Question[Any]] = {}
         keep_signals()
         try:
@@ -112,18 +116,20 @@ class Client:
 
             raise UnreachedError("\n".join(diagnosis.why(config) if explain else []) or str(error)) from error
         """Open until `close`: after a broken link Zenoh reconnects to any of the hosts, with all declarations."""
+        self._dropped = finalize(self, dropped, self.session)
+        self._dropped.atexit = False
         self._sent_by = zenoh.SourceInfo(self.session.id, 0)
         """In all messages: who sends them, also if a Stop goes by another session."""
         self.zid = str(self.session.zid())
         """The session's Zenoh id, the `source_id` of this client's commands."""
+        if self._hosts.id is not None and int(self._hosts.id, 16) != int(self.zid, 16):
+            warnings.warn(taken_id(self._hosts.id, self.zid, file), stacklevel=2)
         self.states = States(self.session)
         """Joins states and the configuration. @private"""
         self.name = self.zid if source is None else source
         """The name in events: `source`, or the session's Zenoh id."""
-        self.requests = Requests(partial(self._get, again=False), Identity.of(config), self.name)
-        """The requests of leases and stop buttons, and of tools that renew one. @private"""
-        self._lease: Lease | None = None
-        self.open_parts: list[Any] = []
+        self._lease: Callable[[], Lease | None] = lambda: None
+        self.open_parts: WeakKeyDictionary[Any, None] = WeakKeyDictionary()
         """Streams and walks to close before the client. @private"""
         named = endpoint or (None if file is not None else next(iter(self._hosts.endpoints), None))
         self.reset_command = command("reset", connect=named, zenoh_config=file)
@@ -134,26 +140,34 @@ class Client:
         return self
 
     def __exit__(self, *raised: Any) -> None:
+        if forked():
+            return  # links, lease and legs are the other process's
         with ExitStack() as last:
             last.callback(self._disconnect)
-            if self._lease is not None:
-                last.callback(self._lease.release)
-            for part in reversed(self.open_parts):  # the first one ends first: a walk has a stream of its own
+            if (lease := self._lease()) is not None:
+                last.callback(lease.release)
+            for part in reversed(list(self.open_parts)):  # the first one ends first: a walk has a stream of its own
                 last.callback(self._end, part, *(raised or (None,) * 3))
 
     def _end(self, part: Any, *raised: Any) -> None:
         if part in self.open_parts:
             part.__exit__(*raised)
 
+    @property
+    def requests(self) -> Requests:
+        """The requests of leases and stop buttons, and of tools that renew one. @private"""
+        return Requests(partial(self._get, again=False), Identity.of(self._hosts.config), self.name)
+
     def __repr__(self) -> str:
-        return f"<Client {self.name!r} of {', '.join(self._hosts.endpoints)}{', closed' * self._closed}>"
+        return f"<Client {self.name!r} of {', '.join(self._hosts.endpoints)}{', closed' * self._closed.is_set()}>"
 
     def close(self) -> None:
         """End open streams and walks, release the lease, and disconnect. The program's end does the same."""
         self.__exit__()
 
     def _disconnect(self) -> None:
-        self._closed = True
+        self._closed.set()
+        self._dropped.detach()
         with suppress(zenoh.ZError):  # a frozen gateway has not closed the link within ten seconds
             self.session.close()
 
@@ -181,9 +195,13 @@ class Client:
                 raise error
             time.sleep(_POLL_S)
 
-    def stream(self, hz: float = 50) -> Stream:
-        """Return a Stream of `hz` (above 0, at most 1000) setpoints a second: `with robot.stream(50) as stream: …`."""
-        return Stream(self, hz)
+    def stream(self, hz: float = 50, *, lease: bool = True) -> Stream:
+        """Return a Stream of `hz` (above 0, at most 1000) setpoints a second: `with robot.stream(50) as stream: …`.
+
+        Streams and walks drive under the client's lease, or acquire one for their own time. `lease=False`: drive
+        without, for programs that share the robot's legs.
+        """
+        return Stream(self, hz, lease=lease)
 
     def walk(
         self,
@@ -227,12 +245,13 @@ class Client:
 
     def carry(self, lease: Lease) -> None:
         """Put this lease into later commands. @private"""
-        self._lease = lease
+        self._lease = ref(lease)
 
     @property
     def carried_lease(self) -> Lease | None:
         """The lease in commands; a lost one, too, until its `with` ends. @private"""
-        return self._lease if self._lease is not None and self._lease.token is not None else None
+        lease = self._lease()
+        return lease if lease is not None and lease.token is not None else None
 
     # ---- stop buttons
 
@@ -417,7 +436,8 @@ class Client:
     def _subscribe(
         self, key: str, read: Callable[[bytes], R | None], callback: Callable[[R], None]
     ) -> "zenoh.Subscriber[None]":
-        take = reads(read, lambda found: None if self._closed else callback(found))
+        closed = self._closed  # without `self`: a subscriber keeps no client alive
+        take = reads(read, lambda found: None if closed.is_set() else callback(found))
         with self._open_session() as session:
             return session.declare_subscriber(key, take)
 
@@ -429,8 +449,9 @@ class Client:
     @contextmanager
     def _open_session(self) -> Iterator[zenoh.Session]:
         """Yield the session for one call. Raises ZenohError if it is closed or Zenoh fails."""
+        check_fork()
         try:
-            if not self._closed:
+            if not self._closed.is_set():
                 yield self.session
                 return
         except zenoh.ZError as error:
@@ -467,7 +488,19 @@ class Client:
             return found
         waited = f"within {timeout_s:g} s" if time.monotonic() >= end_s else "and the link may have been lost"
         others = f" (the program that replies on {key} is none)" if question.answerers else ""
-        raise UnansweredError(f"no gateway answered {waited}{others}; is it running, and may you command it?")
+        raise UnansweredError(f"no gateway answered {waited}{others}{self._why_unanswered()}")
+
+    def _why_unanswered(self) -> str:
+        from gateway.people.client import diagnosis  # an emergency stop must not wait for this import
+
+        expired = diagnosis.expired(Identity.of(self._hosts.config))
+        return f": {expired}" if expired else "; is it running, and may you command it?"
+
+
+def dropped(session: zenoh.Session) -> None:
+    """Close the session of a client that a program has dropped: its subscribers' threads would outlast the program."""
+    if not forked():
+        close_later(session)
 
 
 def several_answer(count: int, key: str) -> str:

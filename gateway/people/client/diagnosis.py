@@ -14,6 +14,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
+from ipaddress import ip_address
 from typing import Any, Final
 
 import zenoh
@@ -95,9 +96,8 @@ def why(config: zenoh.Config, timeout_s: float = TIMEOUT_S) -> list[str]:
     """Return a line for each endpoint, with the stage that fails, after `timeout_s` at most."""
     identity = Identity.of(config)
     found = diagnose_all(connect_endpoints(config), identity, timeout_s)
-    of_clock = [each for each in own_certificates(identity, dt.datetime.now(dt.UTC)) if each.fix]
-    if of_clock:
-        return [f"no gateway answers: {of_clock[0]}"]
+    if (of_clock := expired(identity)) is not None:
+        return [f"no gateway answers: {of_clock}"]
     return [f"no gateway answers on {endpoint}: {findings[-1]}" for endpoint, findings in found.items()]
 
 
@@ -142,8 +142,8 @@ def diagnose(endpoint: str, identity: Identity, end_s: float) -> Iterator[Findin
         yield Finding(Stage.ENDPOINT, "Zenoh dials no IPv6 address over TLS", fix)
         return
     try:
-        scoped = f"{host}%{parsed['iface']}" if parsed["iface"] and ":" in host else host
-        addresses = [(family, at) for family, *_, at in socket.getaddrinfo(scoped, port, type=socket.SOCK_STREAM)]
+        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+        addresses = [(family, _by_interface(at, parsed["iface"])) for family, *_, at in found]
     except (OSError, UnicodeError) as error:
         mdns = "is the robot on, and in this network? Names in .local need mDNS (avahi) here and there"
         fix = f"{mdns if host.endswith('.local') else 'check the name'}; or dial its address"
@@ -153,11 +153,25 @@ def diagnose(endpoint: str, identity: Identity, end_s: float) -> Iterator[Findin
     try:
         connection = _connect(addresses, end_s)
     except OSError as error:
-        yield _unreachable(host, port, error, here=is_local(endpoint))
+        if nowhere := next((str(at[0]) for _, at in addresses if _lacks_interface(at)), None):
+            fix = f"dial {endpoint.partition('#')[0]}#iface=INTERFACE, as `ip link` names it"
+            yield Finding(Stage.NAME, f"{host} is {nowhere}, which each network interface has for itself", fix)
+        else:
+            yield _unreachable(host, port, error, here=is_local(endpoint))
         return
     yield Finding(Stage.TCP, f"port {port} answers")
     with connection:
         yield from _tls(connection, host, identity, end_s) if tls else _plain(connection, end_s)
+
+
+def _lacks_interface(at: Any) -> bool:
+    """Return whether it is a link-local IPv6 address without an interface, to which Linux connects nowhere."""
+    return len(at) == 4 and ip_address(at[0]).is_link_local and not at[3]
+
+
+def _by_interface(at: Any, interface: str | None) -> Any:
+    """Return the address with its interface. Raises OSError if there is no such interface."""
+    return (*at[:3], socket.if_nametoindex(interface)) if interface and _lacks_interface(at) else at
 
 
 def own_certificates(identity: Identity, now: dt.datetime) -> Iterator[Finding]:
@@ -171,6 +185,11 @@ def own_certificates(identity: Identity, now: dt.datetime) -> Iterator[Finding]:
             yield Finding(Stage.CERTIFICATE, str(error), "restore it from its bundle")
             continue
         yield validity(path.name, certificate.not_valid_before_utc, certificate.not_valid_after_utc, now)
+
+
+def expired(identity: Identity) -> Finding | None:
+    """Return the finding about a certificate of this machine that is not valid now, if there is one."""
+    return next((each for each in own_certificates(identity, dt.datetime.now(dt.UTC)) if each.fix), None)
 
 
 def own_expiry(config: zenoh.Config) -> str | None:

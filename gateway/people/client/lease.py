@@ -11,12 +11,15 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, Protocol, Self
+from weakref import WeakKeyDictionary, ref
 
 import zenoh
 
-from gateway.errors import GatewayError, LeaseError, LeaseLostError, ZenohError
+from gateway.errors import GatewayError, LeaseError, LeaseLostError, UnansweredError, ZenohError
+from gateway.people.client import stopped
 from gateway.people.client.lease_requests import Requests
 from gateway.people.client.renewal import Holds, Renewal
+from gateway.people.client.subscriptions import weakly
 from schemas.telemetry import Ack, Event, GatewayState, Kind, Reason, Telemetry
 
 if TYPE_CHECKING:
@@ -41,10 +44,11 @@ class DrivingClient(Protocol):
 
     name: str
     zid: str
-    requests: Requests
     reset_command: str
-    open_parts: list[Any]
+    open_parts: WeakKeyDictionary[Any, None]
 
+    @property
+    def requests(self) -> Requests: ...
     @property
     def carried_lease(self) -> "Lease | None": ...
     @property
@@ -64,7 +68,7 @@ class Lease:
     """The right to drive; made by `Client.lease`, used in a `with`.
 
     Inside it every command of the client carries the lease, also published ones and a stream's. A thread renews it for
-    as long as the program lives; the end of the `with` releases it. The watchdog stops legs as without a lease.
+    as long as the program uses it; the end of the `with` releases it. The watchdog stops legs as without a lease.
 
     After a loss (taken by force, or the link was cut for longer than `ttl_ms`) the next acknowledged command and the
     next `set` of a stream raise LeaseLostError. The gateway accepts Stops and the emergency stop from anyone, always.
@@ -109,7 +113,7 @@ class Lease:
         self._news = threading.Event()
         self._asked_by: str | None = None
         self._subscriber: Any = None
-        self._thread = threading.Thread(target=self._keep, name="renew the lease", daemon=True)
+        self._thread = threading.Thread(target=_keep, args=(ref(self), self._news), name="renew the lease", daemon=True)
         self.holder = ""
         """Our name at the gateway: the certificate's person, else `source`, else the client's name."""
         self.verified = False
@@ -157,7 +161,7 @@ class Lease:
                 self._renewal.gives = False
         self.confirm()
         self.check()
-        raise _error(ack)
+        raise self._error(ack)
 
     # ---- begin and end; `with` calls them
 
@@ -166,8 +170,8 @@ class Lease:
         if self._renewal.holds is not Holds.NOT_YET:
             raise RuntimeError("a lease is used once; make a new one with `lease()`")
         if (other := self._client.carried_lease) is not None and other.held:
-            raise RuntimeError("this client holds a lease already")
-        self._subscriber = self._client.on_event(self._receive)
+            raise RuntimeError("this client holds a lease already; a stream and a walk acquire one")
+        self._subscriber = self._client.on_event(weakly(self._receive))
         try:
             ack = self._acquired()
             if not _TOKEN.fullmatch(ack.lease or ""):
@@ -220,19 +224,23 @@ class Lease:
 
     # ---- the thread that renews
 
-    def _keep(self) -> None:
-        while self.held:
-            self._news.wait(max(0.0, self._renewal.due_s - time.monotonic()))
-            self._news.clear()
-            if self.held:
-                self._renew(self._renewal.answer_s)
-            who, self._asked_by = self._asked_by, None
-            if who is not None and self._on_asked is not None and self.held:
-                self._on_asked(who)
+    def next_s(self) -> float | None:
+        """Return how long to wait for the next renewal; None: it has ended. @private"""
+        if self.held:
+            return max(0.0, self._renewal.due_s - time.monotonic())
         if self.lost is not None:
             self._unsubscribe()
             if self._on_lost is not None:
                 self._on_lost(self.lost)
+        return None
+
+    def keep(self) -> None:
+        """Renew it, and report who has asked for it. @private"""
+        if self.held:
+            self._renew(self._renewal.answer_s)
+        who, self._asked_by = self._asked_by, None
+        if who is not None and self._on_asked is not None and self.held:
+            self._on_asked(who)
 
     def _renew(self, timeout_s: float) -> None:
         token, asked_s = self.token, time.monotonic()
@@ -270,8 +278,14 @@ class Lease:
             self._news.clear()
             ack = self._request("acquire")
         if not ack.accepted:
-            raise _error(ack)
+            raise self._error(ack)
         return ack
+
+    def _error(self, ack: "LeaseAck") -> LeaseError:
+        who, name = ack.holder, self._client.name
+        same = ack.reason == Reason.LEASE_HELD and who == name  # another program, since we hold none
+        detail = f"the lease is held by {stopped.sender(who, name, own=False)}" if same else ack.detail
+        return LeaseError(ack.reason or "", detail or "", who)
 
     def _request(self, do: str) -> "LeaseAck":
         """Request `do` on a thread, which takes the answer even if a signal interrupts this call."""
@@ -325,5 +339,27 @@ class LentLease(Lease):
         self._end(Holds.RELEASED)
 
 
-def _error(ack: "LeaseAck") -> LeaseError:
-    return LeaseError(ack.reason or "", ack.detail or "", ack.holder)
+def _keep(found: "ref[Lease]", news: threading.Event) -> None:
+    """Renew a lease until it ends, or until its program has dropped it: then it expires."""
+    while (lease := found()) is not None and (wait_s := lease.next_s()) is not None:
+        del lease
+        news.wait(wait_s)
+        news.clear()
+        if (lease := found()) is not None:
+            lease.keep()
+
+
+def own_lease(client: DrivingClient) -> Lease | None:
+    """Acquire a lease for the time of a stream or a walk. None: the client has one, or an older gateway knows of none.
+
+    Raises LeaseError if somebody else drives, UnansweredError without a gateway.
+    """
+    if client.carried_lease is not None:
+        return None
+    lease = Lease(client)
+    try:
+        lease.acquire()
+    except UnansweredError:
+        client.state(CONFIRM_S)
+        return None
+    return lease

@@ -21,6 +21,8 @@ from types import FrameType
 from typing import Any, ClassVar, Final, Self
 from weakref import WeakSet
 
+from gateway.errors import ZenohError
+
 _SIGNALS: Final = {KeyboardInterrupt: signal.SIGINT, SystemExit: signal.SIGTERM}
 """The exceptions of handlers, and their signals."""
 _AGAIN_S: Final = 0.01
@@ -29,8 +31,27 @@ _CALLBACKS: Final = "pyo3-closure"
 """Part of the names of Zenoh's own threads."""
 
 
+_processes: set[int] = set()
+"""The process that has opened sessions; after a fork the child's own id is not among them."""
+
+
+def forked() -> bool:
+    """Return whether this process is the fork of one that opened sessions, whose threads and links it does not have."""
+    return bool(_processes) and os.getpid() not in _processes
+
+
+def check_fork() -> None:
+    """Raise ZenohError in such a process: a session there can crash the other process."""
+    if forked():
+        spawn = 'start it by multiprocessing\'s "spawn" method'
+        raise ZenohError(
+            f"this process is the fork of one that has opened a client, and Zenoh survives no fork: {spawn}"
+        )
+
+
 def keep_signals() -> None:
     """Begin, for all sessions of this process. A second call changes nothing."""
+    _processes.add(os.getpid())
     logging.getLogger("zenoh.handlers").addFilter(_is_no_signal)
 
 

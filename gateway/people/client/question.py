@@ -16,6 +16,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Annotated, Final, Generic, Literal, TypeVar
 
@@ -47,6 +48,8 @@ class Hosts:
         """`config` is kept and changed. `timeout_s` is the longest wait of `open` for a session."""
         self.endpoints = connect_endpoints(config)
         self.config = config
+        self.id: str | None = get(config, "id")
+        """The Zenoh id that the file sets, if any."""
         self._timeout_s = timeout_s
         config.insert_json5("connect/timeout_ms", "0")  # each endpoint once; `Search` retries
         if get(config, _OPEN_TIMEOUT) == _ZENOHS_OPEN_TIMEOUT_MS:
@@ -69,6 +72,21 @@ class Hosts:
             raise kind(why_not_opened(search.error, self.endpoints))
         return session
 
+    def open_at(self, first: int) -> zenoh.Session:
+        """Open a session that tries endpoint number `first` first. Raises ZError.
+
+        A gateway admits one session of each id. Where ours is taken, a Stop goes by another id.
+        """
+        config = self.config_for(first)
+        try:
+            return zenoh.open(config)
+        except zenoh.ZError as error:
+            if self.id is None or CANNOT_CONNECT not in str(error):
+                raise
+            config = zenoh.Config.from_json5(str(config))
+            config.insert_json5("id", "null")
+            return zenoh.open(config)
+
     def config_for(self, first: int) -> zenoh.Config:
         """Return the configuration of a session that tries endpoint number `first` first."""
         if first == 0:
@@ -76,6 +94,12 @@ class Hosts:
         config = zenoh.Config.from_json5(str(self.config))
         config.insert_json5("connect/endpoints", json.dumps([*self.endpoints[first:], *self.endpoints[:first]]))
         return config
+
+
+def taken_id(wanted: str, zid: str, file: Path | None) -> str:
+    """Return the warning of a client that was admitted with another Zenoh id than its file sets."""
+    why = f"the gateway does not admit the Zenoh id {wanted} of {file}: another program may be connected with it"
+    return f"{why}, so this one has {zid}. Remove `id` from the file"
 
 
 class Search:
@@ -111,8 +135,7 @@ class Search:
             session, self._session = self._session, None
             self._end()
         if session is not None:
-            # With a frozen gateway this takes seconds.
-            _Thread(target=_close, args=(session,), name="close").start()
+            close_later(session)
 
     def _end(self) -> None:
         self._over.set()
@@ -124,7 +147,7 @@ class Search:
         pause_s = _PAUSE_S
         while not self._over.is_set() and time.monotonic() < self._end_s:
             try:
-                session = zenoh.open(self._hosts.config_for(place))
+                session = self._hosts.open_at(place)
             except zenoh.ZError as error:
                 if CANNOT_CONNECT not in str(error):
                     self.error = one_line(error)
@@ -161,6 +184,12 @@ class _Thread(threading.Thread):
 def under_way() -> bool:
     """Return whether an attempt to connect is still pending, whose result is no longer needed."""
     return any(isinstance(thread, _Thread) for thread in threading.enumerate())
+
+
+def close_later(session: zenoh.Session) -> None:
+    """Close it on a thread, since with a frozen gateway this takes seconds."""
+    with suppress(RuntimeError):  # the program has ended
+        _Thread(target=_close, args=(session,), name="close").start()
 
 
 def _close(session: zenoh.Session) -> None:

@@ -11,14 +11,14 @@ from schemas.telemetry import Cause, Event, GatewayState, Kind, Mode, Reason
 
 STOP: Final = "stop"
 """The cause of a StoppedError if somebody sent a Stop."""
-AGAIN: Final = "start_again() goes on; a stream's recover() first waits until the cause is over"
-"""A program's next call, as a note of the error. Tracebacks show a note, `str()` does not."""
-DECIDES: Final = "a person decides: start_again() goes on; recover() of a stream raises this again"
+AGAIN: Final = "call start_again() when the cause is over"
+"""A program's next call, as a note of a stream's or a walk's error. Tracebacks show a note, `str()` does not."""
+DECIDES: Final = "nothing starts these legs until the program calls start_again(): a person decides when"
 """The note of an error whose cause does not end by itself."""
 _PASSING: Final = (
     Kind.WATCHDOG_EXPIRED, Kind.OVERFLOW, Kind.ESTOP_ENGAGED, Kind.BUS_FAULT, Kind.CONTROLLER_SILENT,
-    Kind.CONTROLLER_RESTARTED, Kind.STOPPING, Kind.STARTED, Reason.ESTOPPED, Reason.NOT_HOLDER, Reason.NO_BUTTON,
-    Reason.NO_POWER, Reason.LANDING, Reason.STALE, Kind.LEASE_TAKEN,
+    Kind.CONTROLLER_RESTARTED, Kind.STOPPING, Kind.STARTED, Reason.ESTOPPED, Reason.NOT_HOLDER, Reason.LEASE_HELD,
+    Reason.NO_BUTTON, Reason.NO_POWER, Reason.LANDING, Reason.STALE, Kind.LEASE_TAKEN,
 )  # fmt: skip
 """Causes that end without this program. A fall and the board's button are none: somebody may touch the robot."""
 

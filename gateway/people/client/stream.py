@@ -16,11 +16,20 @@ from typing import Any, Final, NoReturn, Self
 
 import zenoh
 
-from gateway.errors import DisconnectedError, GatewayError, LeaseLostError, RejectedError, StoppedError, ZenohError
+from gateway.errors import (
+    DisconnectedError,
+    GatewayError,
+    LeaseError,
+    LeaseLostError,
+    RejectedError,
+    StoppedError,
+    ZenohError,
+)
 from gateway.people.client import pace, stopped
-from gateway.people.client.lease import CONFIRM_S, NOT_OURS, DrivingClient, Lease
+from gateway.people.client.lease import CONFIRM_S, NOT_OURS, DrivingClient, Lease, own_lease
 from gateway.people.client.payloads import LegAngles, Setpoints, Unit, legs_angles, legs_payload, setpoints
 from gateway.people.client.stopped import ReceivedEvent
+from gateway.people.client.subscriptions import weakly
 from gateway.words.text import legs_named
 from schemas import keys
 from schemas.telemetry import Ack, Event, GatewayState, Kind, LegReport, Reason, WatchdogState
@@ -42,6 +51,7 @@ class Stream:
     """Setpoints for any of the six legs, `hz` times a second; made by `Client.stream`.
 
     Use it in a `with`, or call `open` and `close`; the end of the client, or of the program, closes it as well.
+    It drives under the client's lease, or acquires one with its first start and releases it at its end.
     The first setpoint of a leg starts it. The end of the stream, also after an error, stops the legs whose start was
     accepted or not answered. It leaves a leg whose start was rejected, or that the gateway has since reported stopped:
     somebody else may have started it. It also leaves legs whose lease was handed over or taken.
@@ -57,9 +67,11 @@ class Stream:
     [1, 2, 3, 4, 5, 6]
     """
 
-    def __init__(self, client: DrivingClient, hz: float) -> None:
+    def __init__(self, client: DrivingClient, hz: float, *, lease: bool = True) -> None:
         """Raises ValueError unless 0 < hz ≤ 1000. @private"""
         self._client = client
+        self._wants_lease = lease
+        self._own: Lease | None = None
         self._hz = checked_hz(hz)
         self._pace = pace.SetpointPace(hz)
         self._retries = pace.Retries()
@@ -79,7 +91,7 @@ class Stream:
         self._warned = False  # once is enough
         self._subscribers: list[Any] = []
         self._sending = threading.Lock()
-        self._open = False
+        self._open: bool | None = None  # not yet
 
     @property
     def missed(self) -> int:
@@ -117,7 +129,7 @@ class Stream:
         moves at no more than `limits.takeover_deg_s` until it has arrived. If `limits.start_stagger_ms` spreads starts
         over more than the watchdog's timeout, add one leg with each call. Raises, without sending:
 
-        - LeaseLostError: somebody else drives now.
+        - LeaseError: somebody else drives; as LeaseLostError: since then.
         - RejectedError: the gateway rejected an earlier setpoint, or this start (nothing more is then sent). As
           OutOfRangeError: a leg or angle does not exist.
         - StoppedError: the watchdog (this program stalled, or left a leg out), another's Stop, an emergency stop, a bus
@@ -141,15 +153,17 @@ class Stream:
         """Wait until the cause of the error is over; the next `set` starts its legs anew, from wherever they are.
 
         It waits for the link, the gateway, the bus, a stop button, somebody else's lease, and a person who resets the
-        emergency stop. It asks at most twice a second. Raises the error at once if waiting does not end its cause: a
-        fall, a command that is always rejected, or somebody's Stop, which a person undoes by `start_again`. Raises the
-        remaining cause after `timeout_s`. Without an error it does nothing.
+        emergency stop. It releases the stream's own lease, since a reset needs it. It asks at most twice a second. Raises
+        the error at once if waiting does not end its cause: a fall, a command that is always rejected, or somebody's
+        Stop, which a person undoes by `start_again`. Raises the remaining cause after `timeout_s`. Without an error it
+        does nothing.
         """
         error, end_s = self._over, time.monotonic() + timeout_s
         if error is None:
             return
         if not stopped.passes(error):
             raise error.with_traceback(None)
+        self._release()  # a reset needs the lease
         while True:
             time.sleep(max(0.0, min(self._retries.next_s, end_s) - time.monotonic()))
             if (cause := self._still()) is None:
@@ -184,16 +198,16 @@ class Stream:
         if (thinned := pace.thins(self._hz, state.limits.leg_rate_hz)) is not None:
             warnings.warn(thinned, stacklevel=3)
         self._doubt = pace.Doubt(watchdog_s)
-        self._subscribers = [client.on_state(self._receive_state), client.on_event(self._receive_event)]
+        states, events = weakly(self._receive_state), weakly(self._receive_event)
+        self._subscribers = [client.on_state(states), client.on_event(events)]
         self._open = True
-        client.open_parts.append(self)
+        client.open_parts[self] = None
         return self
 
     def close(self) -> None:
         """Stop the started legs. Raises DisconnectedError without an answer, RejectedError if a Stop is rejected."""
         self._open = False
-        if self in self._client.open_parts:
-            self._client.open_parts.remove(self)
+        self._client.open_parts.pop(self, None)
         if not self._sending.acquire(blocking=False):
             # Another thread may be starting legs: a Stop now, and one more after that start.
             self._stop()
@@ -202,6 +216,7 @@ class Stream:
             self._stop()
         finally:
             self._sending.release()
+            self._release()
             subscribers, self._subscribers = self._subscribers, []
             with suppress(zenoh.ZError):  # the client is closed
                 for each in subscribers:
@@ -230,7 +245,7 @@ class Stream:
         """Check and send at once, with the errors of `set`. @private"""
         self._client.check_open()
         if not self._open:
-            raise RuntimeError("a stream is used in a `with`, or between `open` and `close`")
+            raise not_open("stream", closed=self._open is False)
         if self._over is not None:
             raise self._over.with_traceback(None)
         with self._sending:
@@ -297,6 +312,7 @@ class Stream:
         old = {leg: each for leg, each in angles.items() if leg in self._started}
         legs = setpoints("start", new) | setpoints("set", old)
         before = self._to_stop
+        self._acquire()
         self._to_stop = self._to_stop.union(new)  # without an answer they may run
         self._lease = self._client.carried_lease
         self._received_stop.clear()
@@ -321,6 +337,21 @@ class Stream:
         self._since = self._ask().time
         if first:
             self._pace.begin(sent_s)
+
+    def _acquire(self) -> None:
+        if not self._wants_lease or (self._own is not None and self._own.held):
+            return
+        self._release()
+        try:
+            self._own = own_lease(self._client)
+        except LeaseError as error:
+            self._over = error
+            raise
+
+    def _release(self) -> None:
+        own, self._own = self._own, None
+        if own is not None:
+            own.release()
 
     def _stop(self) -> None:
         if not self._to_stop or (self._lease is not None and self._lease.elsewhere):
@@ -441,6 +472,13 @@ class Stream:
         if not senders:
             return stopped.stopped_by(None, stopped.UNKNOWN, legs)
         return stopped.stopped_by(senders[0].source, self._name_of(senders[0]), legs)
+
+
+def not_open(what: str, *, closed: bool) -> RuntimeError:
+    """Return the error for the use of a stream or a walk before it is opened, or after it was closed, on any thread."""
+    if closed:
+        return RuntimeError(f"this {what} is closed: close(), or the end of its client, has ended it")
+    return RuntimeError(f"a {what} is used in a `with`, or between `open` and `close`")
 
 
 def checked_hz(hz: float) -> float:

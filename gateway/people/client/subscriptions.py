@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import partial
 from typing import Any, Final, TypeVar
+from weakref import WeakMethod
 
 import zenoh
 from pydantic import BaseModel, ValidationError
@@ -14,6 +15,7 @@ from schemas.state import StateReport, joined
 from schemas.telemetry import ConfigReport, GatewayState
 
 R = TypeVar("R", bound=BaseModel)
+T = TypeVar("T")
 
 KEPT_EVENTS: Final = 256
 """The events kept for a busy reader; the oldest are dropped first."""
@@ -75,6 +77,17 @@ def reads(read: Callable[[bytes], R | None], take: Callable[[R], object]) -> Cal
             take(found)
 
     return receive
+
+
+def weakly(method: Callable[[T], None]) -> Callable[[T], None]:
+    """Return a callback for Zenoh that does not keep the method's object alive, which Python cannot find there."""
+    found = WeakMethod(method)
+
+    def call(argument: T) -> None:
+        if (own := found()) is not None:
+            own(argument)
+
+    return call
 
 
 @contextmanager

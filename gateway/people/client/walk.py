@@ -13,10 +13,10 @@ import zenoh
 from gateway.errors import GatewayError, RejectedError, StoppedError, UnansweredError, WalkError
 from gateway.geometry import Geometry, load
 from gateway.people.client import stopped
-from gateway.people.client.lease import DrivingClient, Lease
+from gateway.people.client.lease import DrivingClient, Lease, own_lease
 from gateway.people.client.pace import Retries
 from gateway.people.client.process_end import WalkSignals
-from gateway.people.client.stream import Stream, checked_hz
+from gateway.people.client.stream import Stream, checked_hz, not_open
 from gateway.people.walking.balance import ReceivedTelemetry, terrain_named
 from gateway.people.walking.gait_speed import Distance
 from gateway.people.walking.gaits import gait as gait_named
@@ -249,11 +249,7 @@ class Walk:
             raise RuntimeError("a walk is used once; make a new one with `walk()`")
         if any(isinstance(each, Walk) for each in self._client.open_parts):
             raise RuntimeError("this client walks already")
-        if self._client.carried_lease is None:
-            lease = Lease(self._client)
-            with suppress(UnansweredError):  # a gateway that knows of no lease
-                lease.acquire()
-                self._lease = lease
+        self._lease = own_lease(self._client)
         try:
             self._reports = self._client.on_state(self._take)
             if self._terrain == "adapt":
@@ -271,7 +267,7 @@ class Walk:
         except BaseException:
             self._release()
             raise
-        self._client.open_parts.append(self)
+        self._client.open_parts[self] = None
         self._thread = threading.Thread(target=self._run, name="walk", daemon=True)
         self._thread.start()
         return self
@@ -289,8 +285,7 @@ class Walk:
             self.end_now()
             if self._thread is not None:
                 self._thread.join()
-            if self in self._client.open_parts:
-                self._client.open_parts.remove(self)
+            self._client.open_parts.pop(self, None)
             try:
                 self._end_stream()
             finally:
@@ -355,7 +350,7 @@ class Walk:
 
     def _using(self) -> Ride:
         if self._ride is None or self._closing:
-            raise RuntimeError("a walk is used in a `with`, or between `open` and `close`")
+            raise not_open("walk", closed=self._closing)
         return self._ride
 
     def _wait_for(self, condition: Callable[[], bool]) -> None:

@@ -371,6 +371,19 @@ def test_the_interface_of_a_link_local_address_is_zenohs(endpoint: str, dialled:
     assert connect_endpoints(client_config(endpoint)) == [dialled]
 
 
+def test_a_name_of_a_link_local_address_needs_an_interface(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A name server's answer has none, and Zenoh connects nowhere. With `#iface=` it dials the name."""
+    at = ("fe80::1", 7447, 0, 0)
+    found = [(socket.AF_INET6, socket.SOCK_STREAM, 6, "", at)]
+    monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: found)
+    *_, last = diagnose("tcp/robot.lan:7447", Identity(), time.monotonic() + 1)
+    assert last.sentence == "robot.lan is fe80::1, which each network interface has for itself"
+    assert last.fix == "dial tcp/robot.lan:7447#iface=INTERFACE, as `ip link` names it"
+    *_, last = diagnose("tcp/robot.lan:7447#iface=lo", Identity(), time.monotonic() + 1)
+    assert last.stage is Stage.TCP
+    assert "interface" not in last.fix
+
+
 @pytest.mark.parametrize("endpoint", ["tls/[2001:db8::7]:7447", "quic/robot:7447", "robot:7447", "tls/robot"])
 def test_what_is_not_dialled_is_reported_at_once(endpoint: str) -> None:
     (finding,) = diagnose(endpoint, Identity(), time.monotonic() + 1)

@@ -31,7 +31,7 @@ class Robot:
     reset_command = "hexapod-gateway reset --connect tcp/192.0.2.7:7447"
 
     def __init__(self) -> None:
-        self.open_parts: list[object] = []
+        self.open_parts: dict[object, None] = {}
         self.requests_s: list[float] = []
         """When anything was asked."""
         self.rejects: Ack | None = None
@@ -117,6 +117,7 @@ def robot(monkeypatch: pytest.MonkeyPatch) -> Robot:
     found = Robot()
     for module in ("gateway.people.client.stream", "gateway.people.client.stopped", "gateway.errors"):
         monkeypatch.setattr(f"{module}.time", found)
+    monkeypatch.setattr("gateway.people.client.stream.own_lease", lambda _: None)  # it lives in real time
     return found
 
 

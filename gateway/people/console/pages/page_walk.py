@@ -133,7 +133,8 @@ class PageWalks:
     def _walk(self, token: str) -> str:
         """Returns why it has ended, in words."""
         with closing(self._shared.link.connect(source=self._name)) as client:
-            client.carry(LentLease(client, token))
+            lease = LentLease(client, token)  # the client refers to it weakly
+            client.carry(lease)
             geometry, terrain, silences = self._shared.geometry, self._shared.terrain, SILENCES
             gait, hz = self._newest.gait, SETPOINTS_HZ
             walk = Walk(client, gait, geometry, hz, terrain=terrain, silences=silences, once=True)
