@@ -153,7 +153,7 @@ class Stream:
         """Wait until the cause of the error is over; the next `set` starts its legs anew, from wherever they are.
 
         It waits for the link, the gateway, the bus, a stop button, somebody else's lease, and a person who resets the
-        emergency stop. It releases the stream's own lease, since a reset needs it. It asks at most twice a second. Raises
+        emergency stop. It releases the stream's own lease, since a reset needs it. It asks twice a second. Raises
         the error at once if waiting does not end its cause: a fall, a command that is always rejected, or somebody's
         Stop, which a person undoes by `start_again`. Raises the remaining cause after `timeout_s`. Without an error it
         does nothing.
