@@ -12,6 +12,8 @@ from gateway.geometry.model import Geometry
 from schemas.robot import JOINTS, LEGS
 
 BASE: Final = "base"
+BODY: Final = "base_inertia"
+"""The frame of the body's mass, at the base: KDL supports no root link with a mass."""
 LINKS: Final = ("coxa", "femur", "tibia")
 """Moved by joints 1, 2 and 3 of a leg."""
 
@@ -41,6 +43,7 @@ def link_name(leg: int, link: str) -> str:
 
 def transforms(geometry: Geometry, joints_rad: Mapping[int, float]) -> Iterator[FramePose]:
     """Yield each frame in its parent's, from the body outward. `joints_rad`: by servo id; a missing joint is at 0."""
+    yield FramePose(BASE, BODY, _ORIGIN, _UNTURNED)
     for leg in LEGS:
         mount = geometry.leg_mounts[leg]
         at_m, base = mount.xyz_m, from_rpy((0.0, 0.0, mount.yaw_rad))

@@ -6,14 +6,14 @@ from itertools import chain
 from typing import Final
 from xml.etree import ElementTree as Xml
 
-from gateway.geometry.kinematics import BASE, LINKS, Vector, from_rpy, joint_name, link_name, plus, rotated
+from gateway.geometry.kinematics import BASE, BODY, LINKS, Vector, from_rpy, joint_name, link_name, plus, rotated
 from gateway.geometry.model import BODY_KG, LINKS_KG, MAX_SPEED_DEG_S, Geometry
 from schemas.robot import JOINTS, LEGS
 
 _LIMB_M: Final = 0.025
 _FOOT_M: Final = 0.012
 _FOOT_KG: Final = 0.001
-"""The tibia's mass includes the foot. Without one of its own, pybullet adds 1 kg a foot."""
+"""Of the tibia's mass. Without a mass of its own, pybullet gives each foot 1 kg."""
 _TIP_M: Final = 0.005
 """Radius for collisions. With the larger drawn radius, the foot would roll 4 mm further each step."""
 BODY_HEIGHT_M: Final = 0.05
@@ -35,9 +35,10 @@ def urdf(geometry: Geometry) -> str:
     xs, ys, zs = zip(*(mount.xyz_m for mount in geometry.leg_mounts.values()), strict=True)
     middle_m = (max(xs) + min(xs)) / 2, (max(ys) + min(ys)) / 2, (max(zs) + min(zs)) / 2
     size_m = max(max(xs) - min(xs), _LIMB_M), max(max(ys) - min(ys), _LIMB_M), BODY_HEIGHT_M
-    body = _tag("link", *_box("body", size_m, middle_m, _ZERO, BODY_KG), name=BASE)
+    body = _tag("link", *_box("body", size_m, middle_m, _ZERO, BODY_KG), name=BODY)
+    fixed = _tag("joint", *_place(_ZERO, _ZERO, BASE, BODY), name=f"{BODY}_joint", type="fixed")
     legs = chain.from_iterable(_leg(geometry, leg) for leg in LEGS)
-    robot = _tag("robot", *materials, body, *legs, name=geometry.name)
+    robot = _tag("robot", *materials, _tag("link", name=BASE), body, fixed, *legs, name=geometry.name)
     Xml.indent(robot)
     return '<?xml version="1.0"?>\n' + Xml.tostring(robot, encoding="unicode") + "\n"
 
@@ -52,7 +53,9 @@ def _leg(geometry: Geometry, leg: int) -> Iterator[Xml.Element]:
         # A box from the frame's origin to the next joint, or the foot.
         size_m = max(math.hypot(*end_m), _LIMB_M), _LIMB_M, _LIMB_M
         turn_rad = 0.0, -math.atan2(end_m[2], math.hypot(end_m[0], end_m[1])), math.atan2(end_m[1], end_m[0])
-        box = _box(link, size_m, (end_m[0] / 2, end_m[1] / 2, end_m[2] / 2), turn_rad, mass_kg)
+        box = _box(
+            link, size_m, (end_m[0] / 2, end_m[1] / 2, end_m[2] / 2), turn_rad, mass_kg - _FOOT_KG * (link == LINKS[-1])
+        )
         yield _tag("link", *box, name=name)
         xyz_m, rpy_rad = joint.origin_xyz_m, joint.origin_rpy_rad
         if parent == BASE:

@@ -3,11 +3,13 @@
 import logging
 import math
 from typing import Any, Final
+from xml.etree import ElementTree as Xml
 
 import pytest
 
 from gateway.geometry import load
 from gateway.geometry.kinematics import Quaternion, Vector, plus, rotated, times
+from gateway.geometry.model import TOTAL_KG
 from gateway.model.calibration import RobotCalibration, ServoMapping, report_of
 from gateway.model.frames import Frame, OneLeg, OneServo, Op, ServoOp, stop_leg
 from gateway.people.incidents.messages import RecordedMessage
@@ -37,6 +39,23 @@ def test_joint_states_are_in_the_order_of_the_urdf_and_leave_out_what_is_not_kno
     places = [text.index(f'<joint name="joint_{servo_id}"') for servo_id in SERVO_IDS]
     assert places == sorted(places)
     assert joint_state({}, NOW_NS) == JointState(found.header, (), ())
+
+
+def test_all_links_but_the_root_have_a_mass_and_together_the_robots() -> None:
+    """KDL ignores a root's mass, and pybullet gives 1 kg to each link without one."""
+    root, *links = Xml.fromstring(description(GEOMETRY).data).findall("link")  # noqa: S314 -- our own
+    assert (root.get("name"), root.find("inertial")) == ("base", None)
+    masses = [float(link.find("inertial/mass").get("value")) for link in links]  # type: ignore[union-attr,arg-type]
+    moments = [[float(at.get(axis, 0)) for axis in ("ixx", "iyy", "izz")] for at in map(inertia, links)]
+    assert math.isclose(sum(masses), TOTAL_KG, rel_tol=1e-9)
+    assert len(masses) == 1 + 6 * 4
+    assert all(x > 0 and y > 0 and z > 0 for x, y, z in moments)
+
+
+def inertia(link: Xml.Element) -> Xml.Element:
+    found = link.find("inertial/inertia")
+    assert found is not None
+    return found
 
 
 def test_odometry_is_less_sure_the_longer_the_way_and_knows_nothing_of_height_and_lean() -> None:
