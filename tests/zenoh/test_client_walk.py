@@ -78,7 +78,7 @@ def test_a_dozen_lines_stand_walk_turn_and_sit(robot: Client, watcher: Client) -
     assert after.lease.holder is None
     assert after.commands.rejected == before.rejected
     assert [*last_angles(written.all)] == [10 * leg + joint for leg in LEGS for joint in JOINTS], "leg after leg"
-    with pytest.raises(RuntimeError, match="between `open` and `close`"):
+    with pytest.raises(RuntimeError, match="this walk is closed"):
         walk.go(0.1)
 
 

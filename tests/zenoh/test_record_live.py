@@ -198,7 +198,7 @@ def test_a_killed_recorder_leaves_all_but_the_newest(gateway: Gateway, robot: Cl
         first = expected.index(found[0])
         assert found == expected[first : first + len(found)], "none is missing between the first and the last"
         lost_s = (end_ns - found[-1]["monotonic_ns"]) / 1e9
-        assert lost_s < 1, "a tenth of a second, and what a busy machine adds"
+        assert lost_s < 1, "a tenth of these seconds, and what a busy machine adds"
 
 
 # ---- what other people's programs read: rosbags, mcap-ros2-support and Rerun; none needs a screen
