@@ -31,7 +31,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from gateway.model.frames import ServoOp
+from gateway.model.frames import ServoOp, bytes_of
 from schemas.keys import COMMAND_KEYS
 from schemas.telemetry import Kind
 
@@ -121,19 +121,14 @@ STEP_HEAD: Final = struct.Struct("<q")
 """When the step's instant began; the event follows, as JSON."""
 DECISION_HEAD: Final = struct.Struct("<I")
 FRAME_HEAD: Final = struct.Struct("<IIIB")
-_MOST_FRAME: Final = 14
-"""The most bytes of a frame in a CarriedOut. A longer frame gets its own record, uncut."""
-CARRIED_OUT_HEAD: Final = struct.Struct(f"<IIB{_MOST_FRAME}s")
-"""A CarriedOut's time from arrival to the end of the transfer, and the transfer's duration, both in ns; the frame's
-length, and the frame. The command follows, as in a CommandRecord."""
+CARRIED_OUT_HEAD: Final = struct.Struct("<qIB")
+"""When the transfer of a CarriedOut ended, its duration (both in ns), and the length of its frames. The frames follow,
+then the command, as in a CommandRecord."""
+TARGET_BYTES: Final = 4
+"""A target is as in a frame: SERVO ID, OP, INT, FLOAT."""
 NO_STEP: Final = 0xFFFFFFFF
 _UINT32: Final = NO_STEP
-TARGET_STRUCTS: Final = tuple(struct.Struct("<" + "BH" * count) for count in range(19))
 _SENT_NOT: Final = float("nan")
-
-STOP_CODE, SET_CODE = 65_535, 20_000
-_OF_OP: Final = (0, 0, STOP_CODE, SET_CODE)
-"""The code of each operation. Operation and angle (0 to 18000) are one number of 16 bits."""
 _MAX_BYTE: Final = 255
 
 
@@ -185,13 +180,9 @@ def command(
     lease: int = 0,
 ) -> bytes:
     """Bytes of a CommandRecord; `sent_ms` None is stored as NaN."""
-    flat: list[int] = []
-    for servo_id, op in targets:
-        flat += (servo_id, _OF_OP[op.op] + op.angle_cdeg)
-    count = len(targets)
     sent_ms = _SENT_NOT if sent_ms is None else sent_ms
-    fixed = COMMAND_HEAD.pack(number & _UINT32, sent_ms, after_ns, waited_ns, lease, count)
-    return fixed + TARGET_STRUCTS[count].pack(*flat) + _sender(verb, key, source, source_id)
+    fixed = COMMAND_HEAD.pack(number & _UINT32, sent_ms, after_ns, waited_ns, lease, len(targets))
+    return fixed + bytes_of(targets) + _sender(verb, key, source, source_id)
 
 
 def decision(number: int, verdict: str, key: str, source: str | None) -> bytes:
@@ -205,49 +196,9 @@ def frame(data: bytes, cause: str, transfer_ns: int, late_ns: int = 0, number: i
     return head + data + _texts(cause)
 
 
-_CARRIED_OUT: Final = struct.Struct(f"<{_HEAD.format[1:]}{CARRIED_OUT_HEAD.format[1:]}{COMMAND_HEAD.format[1:]}BHBHBH")
-_CARRIED_OUT_HEAD_BYTES: Final = _CARRIED_OUT.size - HEAD_BYTES
-_pack_carried_out: Final = _CARRIED_OUT.pack
-
-
-def carried_out(
-    sequence: int,
-    ns: int,
-    number: int,
-    verb: str,
-    key: str,
-    source: str | None,
-    sent_ms: float | None,
-    targets: Sequence[tuple[int, ServoOp]],
-    source_id: str | None,
-    step_ns: int,
-    instant_ns: int,
-    lease: int,
-    data: bytes,
-    frame_ns: int,
-    transfer_ns: int,
-) -> bytes | None:
-    """Return the body of a CarriedOut for `RecordRing.put`, or None if it needs separate records.
-
-    Unrolled for a leg's three servos: a gait sends only these, six times fifty a second.
-    """
-    after_ns = frame_ns - ns
-    sender = _sender(verb, key, source, source_id)
-    rest_bytes = _CARRIED_OUT_HEAD_BYTES + len(sender)
-    size = len(data)
-    fits = rest_bytes <= ROOM and size <= _MOST_FRAME
-    if len(targets) != 3 or not fits or not ns <= step_ns <= frame_ns <= ns + _UINT32 or step_ns - instant_ns > _UINT32:
-        return None
-    (first, one), (second, two), (third, three) = targets
-    fixed = _pack_carried_out(
-        HEAD_BYTES + rest_bytes, CARRIED_OUT, 0, sequence, ns,
-        after_ns, transfer_ns & _UINT32, size, data,
-        number & _UINT32, _SENT_NOT if sent_ms is None else sent_ms, step_ns - ns, step_ns - instant_ns, lease, 3,
-        first, _OF_OP[one.op] + one.angle_cdeg,
-        second, _OF_OP[two.op] + two.angle_cdeg,
-        third, _OF_OP[three.op] + three.angle_cdeg,
-    )  # fmt: skip
-    return fixed + sender
+def carried_out(command: bytes, data: bytes, ns: int, transfer_ns: int) -> bytes:
+    """Bytes of a CarriedOut: a CommandRecord, and the frames of one call that ended at `ns`."""
+    return CARRIED_OUT_HEAD.pack(ns, transfer_ns & _UINT32, len(data)) + data + command
 
 
 def fields(*values: object) -> bytes:

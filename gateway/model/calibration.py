@@ -17,9 +17,8 @@ from gateway.model.frames import (
     SETS,
     STARTS,
     Frame,
-    OneLeg,
-    OneServo,
     centidegrees,
+    frame_of,
 )
 from schemas import calibration as wire
 from schemas.robot import SERVO_IDS
@@ -119,11 +118,12 @@ class RobotCalibration:
 
 
 def _mapped(frame: Frame, cdeg_of: Callable[[int, int], int]) -> Frame:
-    ops = [
-        op if op.op is OP_STOP else (STARTS if op.op is OP_START else SETS)[cdeg_of(servo_id, op.angle_cdeg)]
-        for servo_id, op in frame.servos
-    ]
-    return OneServo(frame.servos[0][0], ops[0]) if len(ops) == 1 else OneLeg(frame.leg, (ops[0], ops[1], ops[2]))
+    return frame_of(
+        tuple(
+            (each, op if op.op is OP_STOP else (STARTS if op.op is OP_START else SETS)[cdeg_of(each, op.angle_cdeg)])
+            for each, op in frame.servos
+        )
+    )
 
 
 def changed_servos(before: RobotCalibration, after: RobotCalibration) -> list[int]:

@@ -137,6 +137,19 @@ class OneLeg(Frame):
         self.data = one + first.data + two + second.data + three + third.data
 
 
+def frame_of(targets: tuple[tuple[int, ServoOp], ...]) -> Frame:
+    """Return the frame with these operations: one servo's, or those of a leg's joints 1, 2 and 3."""
+    if not targets[1:]:
+        return OneServo(*targets[0])
+    (first, one), (_, two), (_, three) = targets
+    return OneLeg(first // 10, (one, two, three))
+
+
+def bytes_of(targets: Iterable[tuple[int, ServoOp]]) -> bytes:
+    """Return SERVO ID, OP, INT and FLOAT of each target, as in a frame."""
+    return b"".join([_IDS[servo_id] + op.data for servo_id, op in targets])
+
+
 def legs_of(servo_ids: Iterable[int]) -> tuple[int, ...]:
     """Return the legs of these servos, ascending."""
     return tuple(sorted({servo_id // 10 for servo_id in servo_ids}))
@@ -184,7 +197,7 @@ def decode(data: bytes) -> Frame:  # mutants accepted (Lt_LtE): an equal length 
             raise FrameError(
                 f"{_found(data, index)} in place of {expected_id}; a ONE LEG frame holds joints 1, 2, 3 of one leg"
             )
-        ops.append(_read_op(data, index + 1))
+        ops.append(read_op(data, index + 1))
     return OneLeg(data[2] // 10, (ops[0], ops[1], ops[2])) if size == ONE_LEG_LEN else OneServo(data[2], ops[0])
 
 
@@ -195,7 +208,8 @@ def _found(data: bytes, index: int) -> str:
     return f"byte {index + 1} is {data[index]} (0x{data[index]:02x})"
 
 
-def _read_op(data: bytes, index: int) -> ServoOp:
+def read_op(data: bytes, index: int) -> ServoOp:
+    """Return the operation in the bytes from `index` on. Raises FrameError."""
     op_code, degrees, hundredths = data[index : index + 3]
     if op_code == Op.STOP:
         return STOP

@@ -93,7 +93,7 @@ _KNOWN: Final = (
     (_ROBOT.legs.limits, "of_settings pose_of_settings avoid_cdeg calibration wire limited free_cdeg"),
     (_ROBOT.calibrating, "_rules _legs _limits fault saving"),
     (_ROBOT.legs, "_rules limits by_number _all servos gates _pace stops sends instant_ns _halted"),
-    (_ROBOT.legs, "landing_ends_ns landing_from_ns"),
+    (_ROBOT.legs, "landing_ends_ns landing_from_ns stopped_ns"),
     (_ROBOT.legs, "due_ns at_rest"),  # these follow from the others: `take` sees to that
     (_ROBOT.legs.gates, "supply stagger burst _gates"),
     (_ROBOT.legs.gates.burst, "judged_ns"),
@@ -103,7 +103,7 @@ _KNOWN: Final = (
     (_ROBOT.legs.stops, "due_ns"),  # follows from the others
     (_ROBOT.legs.stops, "sent silent _first"),  # these count within a step
     (Repeats, "left due_ns"),
-    (Leg, "number servos slots commanded_ns expired sender unfed_ns"),
+    (Leg, "number servos slots commanded_ns expired sender unfed_ns steady"),
     (Servo, "servo_id life angle_cdeg target command begun from_cdeg pace_cdeg_s since_ns passing_cdeg"),
     (Servo, "sender known stopped_ns stopped_by"),
     (RateSlots, "period_ns oldest_ns next_ns taken_ns"),

@@ -26,7 +26,7 @@ from gateway.host.file_lock import is_locked
 from gateway.model import black_box as form
 from gateway.model.black_box import MAX_SLOTS, copies_of
 from gateway.model.elkapod import Measured, measured
-from gateway.model.frames import MAX_ANGLE_CDEG, Op, ServoOp
+from gateway.model.frames import ServoOp, read_op
 from schemas.calibration import Calibration
 from schemas.telemetry import Cause
 
@@ -271,13 +271,15 @@ def _contents(slots: Mapping[int, form.Slot], number: int) -> Iterator[tuple[int
         rest += last.rest
     if slot.kind == form.CARRIED_OUT:
         try:
-            after_ns, transfer_ns, length, data = form.CARRIED_OUT_HEAD.unpack_from(rest)
-            command = rest[form.CARRIED_OUT_HEAD.size :]
+            ns, transfer_ns, length = form.CARRIED_OUT_HEAD.unpack_from(rest)
+            data, command = (rest := rest[form.CARRIED_OUT_HEAD.size :])[:length], rest[length:]
             accepted, *_ = form.COMMAND_HEAD.unpack_from(command)
         except struct.error:
             return
         yield form.COMMAND, slot.ns, command
-        yield form.FRAME, slot.ns + after_ns, form.frame(data[:length], Cause.COMMAND, transfer_ns, 0, accepted)
+        while data:
+            frame, data = data[: data[0] or length], data[data[0] or length :]
+            yield form.FRAME, ns, form.frame(frame, Cause.COMMAND, transfer_ns, 0, 0 if data else accepted)
     elif slot.kind in _READERS:
         yield slot.kind, slot.ns, rest
 
@@ -298,10 +300,10 @@ def _fields(kind: type[C]) -> Callable[[bytes], C]:
 
 def _command(rest: bytes) -> CommandRecord:
     number, sent_ms, *of_step, count = form.COMMAND_HEAD.unpack_from(rest)
-    flat = form.TARGET_STRUCTS[count].unpack_from(rest, form.COMMAND_HEAD.size)
-    targets = tuple((flat[index], _op(flat[index + 1])) for index in range(0, len(flat), 2))
+    begin, end = form.COMMAND_HEAD.size, form.COMMAND_HEAD.size + form.TARGET_BYTES * count
+    targets = tuple((rest[at], read_op(rest, at + 1)) for at in range(begin, end, form.TARGET_BYTES))
     sent_ms = sent_ms if math.isfinite(sent_ms) else None
-    verb, key, source, source_id = _sender(rest[form.COMMAND_HEAD.size + form.TARGET_STRUCTS[count].size :])
+    verb, key, source, source_id = _sender(rest[end:])
     return CommandRecord(number, verb, key, source, sent_ms, targets, source_id, *of_step)
 
 
@@ -333,14 +335,6 @@ def _frame(rest: bytes) -> FrameWritten:
     transfer_ns, late_ns, number, length = form.FRAME_HEAD.unpack_from(rest)
     (cause,) = _read_texts(rest, form.FRAME_HEAD.size + length, 1)
     return FrameWritten(rest[form.FRAME_HEAD.size : form.FRAME_HEAD.size + length], cause, transfer_ns, late_ns, number)
-
-
-def _op(value: int) -> ServoOp:
-    if value == form.STOP_CODE:
-        return ServoOp(Op.STOP)
-    if value <= MAX_ANGLE_CDEG:
-        return ServoOp(Op.START, value)
-    return ServoOp(Op.SET, value - form.SET_CODE)
 
 
 def _read_texts(rest: bytes, begin: int, count: int) -> list[str]:

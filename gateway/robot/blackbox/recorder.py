@@ -4,7 +4,7 @@ A flood must not overwrite the time before an incident. So all sources together 
 the ring has room for (`rings.client_records_a_second`), and one source SHARE of that. Omitted records are counted.
 
 Recording delays no Stop: a step is recorded after all its frames are written, and before its commands are answered. A
-command that is carried out at once shares a record with its frame.
+command that one call carries out at once shares a record with its frames.
 """
 
 import logging
@@ -30,6 +30,7 @@ from gateway.model import elkapod
 from gateway.model.black_box import ACCEPTED, COPIED_SHARE, MOST_COPIES, copies_of, copy_path
 from gateway.model.calibration import RobotCalibration, report_of
 from gateway.model.elkapod import Measured
+from gateway.model.frames import Frame
 from gateway.rate_limit import MOST_SOURCES, RateLimit, RateLimitBySource
 from gateway.robot.blackbox import ring as rings
 from gateway.robot.blackbox.journal import Keyframes, plain_event, token_number
@@ -156,8 +157,16 @@ def _of_command(event: Event, now_ns: int, instant_ns: int) -> tuple[int, int, i
     """Return what a command's record contains of its step, or None if the event needs its own record."""
     if type(event) is not Command or event.rejected is not None or event.lost:
         return None
-    of_step = now_ns - event.received_ns, now_ns - instant_ns, 0 if event.lease is None else token_number(event.lease)
-    return of_step if all(0 <= each < form.NO_STEP for each in of_step) else None
+    after_ns, waited_ns = now_ns - event.received_ns, now_ns - instant_ns
+    if not (0 <= after_ns < form.NO_STEP and 0 <= waited_ns < form.NO_STEP):
+        return None
+    return after_ns, waited_ns, 0 if event.lease is None else token_number(event.lease)
+
+
+def _fields(one: Request, after_ns: int, waited_ns: int, lease: int) -> bytes:
+    return form.command(
+        one.number, one.verb, one.key, one.source, one.sent_ms, one.targets, one.source_id, after_ns, waited_ns, lease
+    )
 
 
 class Recorder:
@@ -253,29 +262,17 @@ class Recorder:
             self._append(form.KEYFRAME, now_ns, compress(self._keyframes.take(), 1))
             self._keyframe_ns, self._gap = now_ns, False
 
-    def usual(self, command: Command, now_ns: int, instant_ns: int, written: Sequence[Written]) -> None:
-        """Record the step of a command that its frames have completed, as `step` does."""
-        if len(written) != 1 or not self._carried_out(command, now_ns, instant_ns, written[0]):
-            self.step((command, now_ns, instant_ns), written, ((command, ACCEPTED, ""),))
-
-    def _carried_out(self, command: Command, now_ns: int, instant_ns: int, written: Written) -> bool:
-        """Record a command and the frame that completed it as one record. Return False, with nothing done, if it
-        needs several."""
-        if self._ring is None or command.rejected is not None or command.lost:
-            return False
-        transmit, sent = written
-        token = command.lease
-        body = form.carried_out(
-            self._ring.sequence, command.received_ns, command.number, command.verb, command.key, command.source,
-            command.sent_ms, command.targets, command.source_id, now_ns, instant_ns,
-            0 if token is None else token_number(token), transmit.frame.data, sent.ns, sent.call_ns,
-        )  # fmt: skip
-        if body is None:
-            return False
+    def carried_out(self, command: Command, now_ns: int, instant_ns: int, frames: Sequence[Frame], sent: Sent) -> None:
+        """Record the step of a command that these frames of one call have completed, as one record."""
+        if self._folder is None:
+            return  # mutants accepted (Forget): nothing is kept all the same
         self._event = command
-        if self._admit(command, 1, now_ns):
-            self._ring.put(body)
-        return True
+        if self._admit(command, len(frames), now_ns):
+            data, fields = (
+                b"".join([frame.data for frame in frames]),
+                _fields(command, *self._of_step(command, now_ns, instant_ns)),
+            )
+            self._append(form.CARRIED_OUT, command.received_ns, form.carried_out(fields, data, sent.ns, sent.call_ns))
 
     def step(self, taken: Taken, written: Sequence[Written], decided: Sequence[Result]) -> None:
         """Record a step: its event, its frames, and the outcomes of commands.
@@ -287,21 +284,20 @@ class Recorder:
         self._event = event
         if self._folder is None:
             return  # mutants accepted (Forget): nothing is kept all the same
-        accepted = _accepted(written, decided)
-        if type(event) is Command and accepted is event and len(decided) == 1:  # noqa: SIM102
-            if self._carried_out(event, now_ns, instant_ns, written[0]):
+        if type(event) is Command and written and decided == [(event, ACCEPTED, "")] and not event.lost:
+            first = written[0][1]  # mutants accepted (Step): those of one call have the same time
+            if all(transmit.commands == (event,) and sent.ns == first.ns for transmit, sent in written):
+                self.carried_out(event, now_ns, instant_ns, [transmit.frame for transmit, _ in written], first)
                 return
         sender = event if isinstance(event, FROM_CLIENTS) else decided[0][0] if decided else None
         count = len(written) + len(decided) + (not written)  # an accepted command has no Decision
         # mutants accepted (Step): without a command, one source is decided about
         if sender is not None and not self._admit(sender, count, now_ns):
             return
-        of_step = _of_command(event, now_ns, instant_ns)
-        if of_step is None:
-            self._append(form.STEP, now_ns, form.STEP_HEAD.pack(instant_ns) + to_json(plain_event(event)))
-            of_step = form.NO_STEP, 0, 0
+        of_step = self._of_step(event, now_ns, instant_ns)
         if isinstance(event, Request) and not (isinstance(event, Command) and event.lost):
-            self._request(event, *of_step)
+            self._append(form.COMMAND, event.received_ns, _fields(event, *of_step))
+        accepted = _accepted(written, decided)
         number = 0 if accepted is None else accepted.number
         for transmit, sent in written:
             late_ns = 0 if transmit.deadline_ns is None else sent.ns - transmit.deadline_ns
@@ -327,23 +323,15 @@ class Recorder:
         sender = request or decided[0][0]
         if self._folder is not None and self._shares.admit(sender.source, 1 + len(decided), self._clock()):
             if request is not None:
-                self._request(request, form.NO_STEP, 0, 0)
+                self._append(form.COMMAND, request.received_ns, _fields(request, form.NO_STEP, 0, 0))
             self._decided(decided)
 
-    def _request(self, one: Request, after_ns: int, waited_ns: int, lease: int) -> None:
-        fields = form.command(
-            one.number,
-            one.verb,
-            one.key,
-            one.source,
-            one.sent_ms,
-            one.targets,
-            one.source_id,
-            after_ns,
-            waited_ns,
-            lease,
-        )
-        self._append(form.COMMAND, one.received_ns, fields)
+    def _of_step(self, event: Event, now_ns: int, instant_ns: int) -> tuple[int, int, int]:
+        """Return what a command's record contains of its step. Any other event gets a record of its own."""
+        of_step = _of_command(event, now_ns, instant_ns)
+        if of_step is None:
+            self._append(form.STEP, now_ns, form.STEP_HEAD.pack(instant_ns) + to_json(plain_event(event)))
+        return of_step or (form.NO_STEP, 0, 0)
 
     def _decided(self, decided: Sequence[Result]) -> None:
         for request, verdict, _ in decided:

@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import Final
 
 from gateway.model.angle_limits import AngleLimits
-from gateway.model.frames import OP_STOP, SETS, STOP, Frame, OneLeg, OneServo, ServoOp
+from gateway.model.frames import OP_STOP, SETS, STOP, Frame, ServoOp, frame_of
 from gateway.robot.core.events import (
     NOBODY,
     Announce,
@@ -61,6 +61,8 @@ class Legs:
         """When all six legs get their Stop, at any angle; None: the robot does not land."""
         self.landing_from_ns = 0
         """When the landing's first frames are due: until then no servo has a way to go."""
+        self.stopped_ns = -1
+        """The instant (ns) of the latest Stop, whose order with a move of the same instant is not known."""
         self.at_rest = True
         """Whether no servo of any leg runs; as of the last `plan`."""
         self.begin(0)
@@ -89,6 +91,7 @@ class Legs:
         """End a step: compute what is due next, and whether anything runs."""
         due_ns, runs, rests = NEVER, False, False
         for leg in self._all:
+            leg.steady = None
             one, two, three = leg.servos
             lives = (one.life, two.life, three.life)
             if RUNNING in lives or WAITING in lives:
@@ -229,55 +232,32 @@ class Legs:
         servo.take(op, command)
         return effects
 
-    def usual(self, command: Command, now_ns: int) -> list[Transmit] | None:
+    def usual(self, command: Command, now_ns: int) -> list[Frame] | None:
         """Carry out what most commands ask: running servos go on, within limits and rate slots, and nothing waits.
 
-        The effects, and the state after it, are those of `apply` and `plan`, but for `due_ns`, which may be early.
-        Return None, and change nothing, if the command is not such a one.
+        Return the frames, which complete the command. The frames, and the state after them, are those of `apply` and
+        `plan`, but for `due_ns`, which may be early. Return None, and change nothing, if it is not such a command.
         """
-        sender, servos, limits, instant_ns = command.sender, self.servos, self.limits, self.instant_ns
-        free_cdeg = limits.free_cdeg if limits.limited else None
+        sender, limits, found, frames = command.sender, self.limits, list[tuple[Leg, Targets]](), list[Frame]()
         for number, targets in command.by_leg.items():
             leg = self.by_number[number]
-            one, two, three = leg.servos
-            if (
-                leg.sender != sender
-                or now_ns < leg.slots.next_ns
-                or not (one.target is two.target is three.target is None)
-                or len(targets) == 2
-            ):
+            if leg.steady is None:
+                leg.steady = leg.is_steady()
+            if not leg.steady or leg.sender != sender or now_ns < leg.slots.next_ns or len(targets) == 2:
                 return None
-            for servo_id, op in targets:
-                servo = servos[servo_id]
-                if (
-                    servo.life is not RUNNING
-                    or servo.sender != sender
-                    or servo.pace_cdeg_s is not None
-                    or servo.stopped_ns == instant_ns
-                ):
-                    return None
-                if free_cdeg is not None:
-                    low_cdeg, high_cdeg = free_cdeg[servo_id]
-                    if not low_cdeg <= op.angle_cdeg <= high_cdeg:
-                        return None
-        effects: list[Transmit] = []
-        commands, last = (command,), next(reversed(command.by_leg))
+            found.append((leg, targets))
+        for servo_id, op in command.targets if limits.limited else ():
+            low_cdeg, high_cdeg = limits.free_cdeg[servo_id]
+            if not low_cdeg <= op.angle_cdeg <= high_cdeg:
+                return None
         command.left = 0
-        for number, targets in command.by_leg.items():
-            leg = self.by_number[number]
+        for leg, targets in found:
             leg.commanded_ns = now_ns
             leg.slots.take(now_ns)
             for servo_id, op in targets:
-                servos[servo_id].moved(op, now_ns)
-            if targets[1:]:
-                (_, one_op), (_, two_op), (_, three_op) = targets
-                frame: Frame = OneLeg(number, (one_op, two_op, three_op))
-            else:
-                frame = OneServo(*targets[0])
-            if limits.wire is not None:
-                frame = limits.wire.frame(frame)
-            effects.append(Transmit(frame, _COMMAND, None, commands, commands if number == last else ()))
-        return effects
+                self.servos[servo_id].moved(op, now_ns)
+            frames.append(frame_of(targets))
+        return frames if limits.wire is None else list(map(limits.wire.frame, frames))
 
     # ---- frames that move
 
@@ -333,19 +313,14 @@ class Legs:
     # mutants accepted (Step): the longer way leads to the same frame
     def _frame(self, leg: Leg, named: Sequence[tuple[Servo, ServoOp]], now_ns: int) -> Frame:
         """Return the frame with these operations. If it names two servos, the third repeats its current state."""
-        if named[2:]:
-            (_, one), (_, two), (_, three) = named
-            return OneLeg(leg.number, (one, two, three))
-        (servo, op), *more = named
-        if not more:
-            return OneServo(servo.servo_id, op)
         ops = {each.servo_id: op for each, op in named}
+        if len(ops) != 2:
+            return frame_of(tuple(ops.items()))
         for each in leg.servos:
             if each.servo_id not in ops:
                 each.repeated(now_ns)
                 ops[each.servo_id] = STOP if each.angle_cdeg is None else SETS[each.angle_cdeg]
-        one, two, three = (ops[each.servo_id] for each in leg.servos)
-        return OneLeg(leg.number, (one, two, three))
+        return frame_of(tuple((each.servo_id, ops[each.servo_id]) for each in leg.servos))
 
     def _carried_out(self, ready: Iterable[Servo]) -> tuple[tuple[Command, ...], tuple[Command, ...]]:
         """Return the commands that a frame with these servos' targets carries out, and those that it completes."""
@@ -408,6 +383,7 @@ class Legs:
 
     def _note_halt(self, servos: Iterable[Servo], cause: Cause, sender: Sender) -> None:
         """Record the legs whose servos run or wait to start until now. Call it before a waiting start is dropped."""
+        self.stopped_ns = self.instant_ns
         legs = {servo.servo_id // 10 for servo in servos if servo.life is not OFF}
         if legs:
             self._halted[cause, sender] = self._halted.get((cause, sender), set()) | legs
@@ -457,6 +433,12 @@ class Legs:
         for servo in servos:  # nor does one of these continue to an earlier command's target
             servo.drop()
         return [withdrawn(command, reason, detail) for command in rejected]
+
+
+def moves_of(command: Command, frames: Sequence[Frame]) -> list[Transmit]:
+    """Return the effects that write these frames, the last of which completes the command."""
+    commands, last = (command,), frames[-1]
+    return [Transmit(each, _COMMAND, None, commands, commands if each is last else ()) for each in frames]
 
 
 def _moves(targets: Targets) -> bool:

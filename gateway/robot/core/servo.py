@@ -146,7 +146,7 @@ class Servo:  # mutants accepted (Step): set before it is read
         """Record a frame that moves a running servo without a target to another angle."""
         if self.life is not RUNNING or self.target is not None:
             raise IllegalTransition(f"servo {self.servo_id} is {self.life}, and a frame moves it")
-        self.angle_cdeg, self.since_ns, self.passing_cdeg = op.angle_cdeg, now_ns, None
+        self.angle_cdeg, self.since_ns = op.angle_cdeg, now_ns
 
     def wrote_step(self, op: ServoOp, since_ns: int, passing_cdeg: int | None) -> None:
         """Record a frame with a step towards its target. The time for the next step begins at `since_ns`."""

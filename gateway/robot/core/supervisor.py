@@ -42,7 +42,7 @@ another channel, and the emergency stop wins over a reset.
 from collections.abc import Iterable
 from typing import Any, Final, get_args
 
-from gateway.model.frames import OP_SET
+from gateway.model.frames import OP_SET, Frame
 from gateway.robot.core.backlog import Backlog
 from gateway.robot.core.body_limits import BodyLimits
 from gateway.robot.core.buttons import Buttons
@@ -74,7 +74,7 @@ from gateway.robot.core.gates import NEVER
 from gateway.robot.core.interlock import Barred, Halt, Interlock, Why
 from gateway.robot.core.latch import ESTOPPED, Latch
 from gateway.robot.core.lease import RobotLease
-from gateway.robot.core.legs import Legs
+from gateway.robot.core.legs import Legs, moves_of
 from gateway.robot.core.outside import Outside
 from gateway.robot.core.power_rule import PowerRule
 from gateway.robot.core.rules import Rules
@@ -165,7 +165,7 @@ class Supervisor:
         if type(event) is Command:
             usual = self.usual(event, now_ns, now_ns if instant_ns is None else instant_ns)
             if usual is not None:
-                return list(usual)
+                return [*moves_of(event, usual)]
         own = self._own.get(kind)
         if kind not in LEGAL[self.mode]:
             raise IllegalEvent(f"{kind.__name__} while {self.mode}")
@@ -231,27 +231,27 @@ class Supervisor:
             return 0
         return NEVER if self.due_ns is None else self.due_ns
 
-    def usual(self, command: Command, now_ns: int, instant_ns: int) -> list[Transmit] | None:
+    def usual(self, command: Command, now_ns: int, instant_ns: int) -> list[Frame] | None:
         """Take a command that moves running servos, and meets no rule. Return None, and change nothing, if it may.
 
         The frames complete the command. Neither the mode, the emergency stop nor `due_ns` changes. The general way does
         the same (`unit/robot/test_supervisor_machine.py` compares them).
         """
-        if now_ns >= self.usual_ns or command.rejected is not None:
+        lease, token, legs = self.lease, command.lease, self.legs
+        if now_ns >= self.usual_ns or instant_ns == legs.stopped_ns or command.rejected is not None:
             return None
         if not command.targets or len(command.moves) < len(command.targets):
             return None
-        lease, token, legs = self.lease, command.lease, self.legs
         if (lease.closed or token is not None) and lease.why_not(command) is not None:
             return None
-        legs.instant_ns = instant_ns
-        effects = legs.usual(command, now_ns)
-        if effects is not None:
+        frames = legs.usual(command, now_ns)
+        if frames is not None:
+            legs.instant_ns = instant_ns
             if token is not None:
                 lease.record_use(token, now_ns)
             if command.sent_ms is None:
                 self.backlog.note(command, now_ns)
-        return effects
+        return frames
 
     def _mode_now(self) -> Mode:
         if self._ended:

@@ -282,26 +282,20 @@ class Conductor:
             command.rejected = Rejected(command, Reason.STALE, too_old)
         command.number = next(self.numbers)
         try:
-            outcome = self._usual(command, instant_ns, now_ns) or self._step(command, instant_ns, now_ns)
+            usual = self.supervisor.usual
+            if type(command) is Command and (frames := usual(command, now_ns, instant_ns)) is not None:
+                outcome = self.executor.carry_out_usual(frames, command, now_ns, instant_ns)
+                if outcome is not None:
+                    self._after_fault(outcome)
+                if self._announcing is not None:
+                    self._arm()  # for the preamble
+            else:
+                outcome = self._step(command, instant_ns, now_ns)
         except Exception:
             self.recorder.broke((command, now_ns, instant_ns))
             raise
-        if self._lost_key and not outcome.rejects(command):
+        if self._lost_key and (outcome is None or not outcome.rejects(command)):
             self._lost_stops = not_started(self._lost_stops, command.targets)
-
-    def _usual(self, command: Request, instant_ns: int, now_ns: int) -> Outcome | None:
-        """Carry out a command that meets no rule. Return None, with nothing done, if it may meet one."""
-        if type(command) is not Command:
-            return None
-        effects = self.supervisor.usual(command, now_ns, instant_ns)
-        if effects is None:
-            return None
-        outcome = self.executor.carry_out_usual(effects, command, now_ns, instant_ns)
-        if outcome.fault is not None or outcome.meddled is not None:
-            self._after_fault(outcome)
-        elif self._announcing is not None:
-            self._arm()  # for the preamble
-        return outcome
 
     def _reject_unread(self, received: Received, why: Rejection, instant_ns: int) -> None:
         """Reject a message that could not be read. Carry out the Stops that it may contain."""

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from gateway.errors import SpiError
-from gateway.model.black_box import ACCEPTED, COALESCED
-from gateway.model.frames import legs_of
+from gateway.model.black_box import COALESCED
+from gateway.model.frames import Frame, legs_of
 from gateway.robot.blackbox.recorder import Taken, Written
 from gateway.robot.core.events import (
     Announce,
@@ -22,6 +22,7 @@ from gateway.robot.core.events import (
     Verdict,
     results,
 )
+from gateway.robot.core.legs import moves_of
 from gateway.robot.core.message import Reply
 from gateway.robot.core.rejections import echo_of
 from gateway.robot.runtime.report import RobotReports
@@ -181,27 +182,26 @@ class Executor:
             supply.after_frames(effects, fault=outcome.fault is not None)
         return outcome
 
-    def carry_out_usual(self, moves: Sequence[Transmit], command: Command, now_ns: int, instant_ns: int) -> Outcome:
-        """Do what `carry_out` does with the frames of `Supervisor.usual`: one batch, which completes one command."""
+    def carry_out_usual(
+        self, frames: Sequence[Frame], command: Command, now_ns: int, instant_ns: int
+    ) -> Outcome | None:
+        """Do what `carry_out` does with the frames of `Supervisor.usual`. Return None if nothing is left to do."""
+        taken = command, now_ns, instant_ns
         if self._follows or self.halts:
-            return self.carry_out(moves, (command, now_ns, instant_ns))
-        report = self.bus.write([each.frame for each in moves])
-        sent = report.sent
-        if len(sent) < len(moves) or report.rejection is not None:
-            outcome = Outcome(moves)
+            return self.carry_out(moves_of(command, frames), taken)
+        report, reports = self.bus.write(frames), self.reports
+        if report.fault is not None or report.meddled is not None or report.rejection is not None:
+            outcome = Outcome(moves := moves_of(command, frames))
             self._record(moves, report, outcome)
             self._judge(outcome)
-            self._end_all(outcome, (command, now_ns, instant_ns))
+            self._end_all(outcome, taken)
             return outcome
-        metrics = self.reports.metrics
-        metrics.frames[_COMMAND] += len(moves)
-        metrics.accepted += 1
-        command.written += tuple(command.by_leg)
-        outcome = Outcome(moves, list(zip(moves, sent, strict=True)), None, (), None, [(command, ACCEPTED, "")])
-        self.reports.recorder.usual(command, now_ns, instant_ns, outcome.written)
+        reports.metrics.frames[_COMMAND] += len(frames)
+        reports.metrics.accepted += 1
+        reports.recorder.carried_out(*taken, frames, report.sent[0])
         if command.reply is not None:
             self.answer(command, Ack(accepted=True))
-        return outcome
+        return None
 
     def _end_all(self, outcome: Outcome, taken: Taken) -> None:
         """Record a step, and end its requests."""

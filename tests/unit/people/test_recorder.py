@@ -18,6 +18,7 @@ from gateway.robot.blackbox import ring as rings
 from gateway.robot.core.events import Announce
 from gateway.robot.settings import Settings
 from schemas import keys
+from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind
 from tests.support.robot import LEG_3, Robot, leg
 
@@ -150,6 +151,33 @@ async def test_a_setpoint_is_one_record(folder: Path, framing: Framing) -> None:
         assert decode(frame.content.data).servos == command.content.targets
         assert frame.ns > command.ns
         assert (frame.content.number, frame.content.cause) == (command.content.number, Cause.COMMAND)
+
+
+@pytest.mark.parametrize("op", ["set", "stop"])
+async def test_what_one_call_carries_out_is_one_record(folder: Path, op: str) -> None:
+    robot = recorded(folder, rules={"repeats": 0})
+    legs = {str(each): leg("start", 80 + each, 45, 120) for each in LEGS}
+    robot.put(keys.LEGS_COMMAND, {"legs": legs, "source": "anna"})
+    await asyncio.sleep(0.1)
+    before = len(rec.read(folder / RING_FILE))
+    legs = {
+        number: leg(op, *[each["angle_deg"] for each in setpoint["servos"] if op == "set"])
+        for number, setpoint in legs.items()
+    }
+    robot.put(keys.LEGS_COMMAND, {"legs": legs, "source": "anna", "sent_ms": 5})
+    records = [each for each in list(rec.read(folder / RING_FILE))[before:] if not isinstance(each.content, rec.Noted)]
+    command, *frames = (record.content for record in records)
+    assert (
+        len({record.sequence for record in records if isinstance(record.content, rec.CommandRecord | rec.FrameWritten)})
+        == 1
+    )
+    assert isinstance(command, rec.CommandRecord)
+    written = [each for each in frames if isinstance(each, rec.FrameWritten)]
+    assert sum((decode(each.data).servos for each in written), ()) == command.targets
+    assert [each.number for each in written] == [0, 0, 0, 0, 0, command.number]
+    assert {record.ns for record in records if isinstance(record.content, rec.FrameWritten)} == {
+        robot.controller.transfers[-1][0]
+    }
 
 
 async def test_what_does_not_fit_into_one_record_has_two(folder: Path) -> None:
