@@ -143,6 +143,14 @@ SCENES: Final = {
         watchdogs expired idle idle idle idle idle
         252 estop
         watchdogs idle idle idle idle idle idle""",
+    "a set of another key in the instant of a Stop is rejected though its servo runs again": """
+        1 leg 1 start 90
+        instant 100
+        100 leg 1 stop → …
+        101 leg 1 start 90 → command 1 start 90; …
+        130 servo 11 set 80 (key servo) → rejected 4 servo_stopped
+        instant ends
+        131 servo 11 set 80 (key servo) → command 11 set 80; completed 5""",
     "of one instant an emergency stop is the newer however long it takes to deal with it": """
         instant 100
         100.5 estop
