@@ -124,7 +124,7 @@ def test_the_fullest_command_needs_less_than_a_payload_may_have() -> None:
 # ---- what goes out
 
 
-WIRE = Path(__file__).parents[1] / "data" / "wire" / "1.4"
+WIRE = Path(__file__).parents[1] / "data" / "wire" / "1.1"
 
 
 reasons = st.sampled_from(Reason)
