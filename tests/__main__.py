@@ -31,8 +31,8 @@ from typing import Final
 
 import pytest
 
-from tests.support import descendants, failures, schedule
-from tests.support.descendants import Run
+from tests.support import runs, schedule
+from tests.support.runs import Run
 
 MOST_AGAIN: Final = 5
 """Where more have failed, it was not the machine."""
@@ -57,7 +57,7 @@ def main() -> int:
     which.add_argument("--quick", action="store_true", help="ruff, mypy and the unit tests")
     chosen = parser.parse_args()
     begun_s = time.monotonic()
-    with Run() as run, failures.listed():
+    with Run() as run, runs.listed():
         run.pass_on()
         if chosen.quick:
             green = _quick()
@@ -104,8 +104,8 @@ class Stages:
         try:
             return process.wait(max(0.0, self._until_s - time.monotonic()))
         except subprocess.TimeoutExpired:
-            for pid in (process.pid, *descendants.children(process.pid)):
-                descendants.send(pid, signal.SIGABRT)  # at which pytest says where it stands
+            for pid in (process.pid, *runs.children(process.pid)):
+                runs.send(pid, signal.SIGABRT)  # at which pytest says where it stands
             process.wait()
             sys.exit(f"{name} had no time left")
 

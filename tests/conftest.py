@@ -17,9 +17,9 @@ import pytest
 from hypothesis import HealthCheck
 from hypothesis import settings as hypothesis_settings
 
-from tests.support import failures, schedule
-from tests.support.descendants import Run
+from tests.support import runs, schedule
 from tests.support.lacks import skip_where_lacking
+from tests.support.runs import Run
 
 # A busy machine is no fault of the code under test: what may not take long has a test of its own, with a bound.
 hypothesis_settings.register_profile(
@@ -133,4 +133,4 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
     """pytest's hook."""
-    failures.add(report)
+    runs.add(report)

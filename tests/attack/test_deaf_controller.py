@@ -10,9 +10,8 @@ import pytest
 
 from gateway.model.frames import Framing
 from tests.deaf.faults import Watcher, lose_bytes, lose_transfers, recorded
-from tests.deaf.flips import one_bit, one_more, outcomes, runs, two_bits_of_a_byte
 from tests.deaf.minute import minute, stopped_walk
-from tests.deaf.shifts import faults, worst
+from tests.deaf.shifts import faults, one_bit, one_more, outcomes, runs, two_bits_of_a_byte, worst
 from tests.support.gateway_process import COMMAND
 from tests.support.robot import MS
 

@@ -20,7 +20,7 @@ from tests.mutants.by_hand import made_by_hand
 from tests.mutants.generated import Accepted, Mutant, accepted, mutants_of
 from tests.mutants.judges import JUDGES
 from tests.mutants.judging import Outcome, Subject, TestsFailError, verdicts
-from tests.support import failures
+from tests.support import runs
 
 ROOT: Final = Path(__file__).parents[2]
 FLOOR: Final = 0.97
@@ -39,7 +39,7 @@ def main() -> int:
     parser.add_argument("--sample", type=int, metavar="N", help="of each file only these many, always the same ones")
     parser.add_argument("--seconds", type=float, default=math.inf, help="begin with no further file after so many")
     arguments = parser.parse_args()
-    os.environ.pop(failures.LIST, None)  # a test that fails here is one that notices
+    os.environ.pop(runs.LIST, None)  # a test that fails here is one that notices
     until_s = time.monotonic() + arguments.seconds
     files = [file for file in JUDGES if not arguments.names or any(name in file for name in arguments.names)]
     if arguments.changed:

@@ -42,7 +42,7 @@ _CYCLIC: Final = _robot("elkapod_wire elkapod_conductor power_conductor")
 
 JUDGES: Final = {
     "gateway/model/frames.py": (*_model("frames"), *_tests("unit", "decode")),
-    "gateway/model/elkapod.py": (*_model("elkapod_bytes"), *_robot("elkapod_wire")),
+    "gateway/model/elkapod.py": (*_model("bytes"), *_robot("elkapod_wire")),
     "gateway/robot/protocol/elkapod.py": _CYCLIC,
     "gateway/robot/spi/cyclic.py": _CYCLIC,
     "gateway/robot/spi/guard.py": _robot("guard bus"),
@@ -80,7 +80,7 @@ JUDGES: Final = {
     "gateway/robot/core/stops.py": _SUPERVISOR,
     "gateway/robot/core/backlog.py": _robot("backlog supervisor_stops supervisor"),
     "gateway/robot/core/latch.py": _robot("supervisor_stops supervisor power_rule estop_file"),
-    "gateway/model/power_board.py": (*_model("power_board_bytes"), *_robot("simulated_board")),
+    "gateway/model/power_board.py": (*_model("bytes"), *_robot("simulator")),
     "gateway/robot/power/board.py": _POWER,
     "gateway/robot/power/questions.py": _POWER,
     "gateway/robot/power/last_cut.py": _robot("last_cut"),

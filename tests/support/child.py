@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import IO
 
 from tests.support import zygote
-from tests.support.descendants import MARK
+from tests.support.runs import MARK
 from tests.support.waiting import Closing
 
 

@@ -27,7 +27,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, TextIO
 
-from tests.support.descendants import MARK
+from tests.support.runs import MARK
 
 READY: Final = b"ready\n"
 _PREFIX: Final = (sys.executable, "-m")

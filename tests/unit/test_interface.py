@@ -1,18 +1,24 @@
-"""docs/interface.md is true and complete: each of its tables is compared with the code."""
+"""docs/interface.md is true and complete, and what docs/safety.md names exists: keys, tests, scenes, settings."""
 
+import ast
 import json
 import re
+from dataclasses import asdict
+from functools import cache
 from pathlib import Path
+from typing import Final
 
 import pytest
 
 from gateway import errors
 from gateway.robot.core import supervisor
+from gateway.robot.settings import Settings
 from release import interface_page
 from schemas import __main__ as messages
 from schemas import keys
+from schemas.keys import COMMAND_KEYS, CommandKey, Target, leg_command, parse, servo_command
 from schemas.robot import LEGS, SERVO_IDS
-from tests.unit.test_safety import always_skipped
+from tests.kernel.inside.scenes import SCENES
 
 ROOT = Path(__file__).parents[2]
 INTERFACE = (ROOT / "docs" / "interface.md").read_text()
@@ -106,3 +112,94 @@ def test_commands_are_few_and_exit_codes_are_those_of_errors() -> None:
     )
     raised = {str(each.exit_code) for each in vars(errors).values() if hasattr(each, "exit_code")}
     assert raised <= set(names("### Exit codes"))
+
+
+PAGE: Final = (ROOT / "docs" / "safety.md").read_text(encoding="utf-8")
+
+
+@cache
+def _marks(text: str) -> dict[str, list[str]]:
+    """Return the marks of each of a file's tests."""
+    tests = [node for node in ast.parse(text).body if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)]
+    return {test.name: [ast.unparse(mark) for mark in test.decorator_list] for test in tests}
+
+
+def always_skipped(text: str, function: str) -> bool | None:
+    """Of a test in a file with this text; None: there is no such test."""
+    marks = _marks(text).get(function)
+    if marks is None:
+        return None
+    return any(re.search(r"mark\.(skip|xfail)\b", mark) for mark in marks) or bool(
+        re.search(r"^pytestmark\b.*\b(skip|xfail)\b|^pytest\.skip\(", text, re.MULTILINE)
+    )
+
+
+def test_each_test_that_it_names_exists_and_is_not_skipped() -> None:
+    def text(file: str) -> str:
+        path = ROOT / "tests" / file
+        return path.read_text(encoding="utf-8") if path.exists() else ""
+
+    named = sorted({tuple(name.split("::")) for name in re.findall(r"`([\w/]+\.py::\w+)`", PAGE)})
+    assert named
+    assert [f"{file}::{test}" for file, test in named if always_skipped(text(file), test) is not False] == []
+
+
+def test_each_claim_names_what_shows_it() -> None:
+    rows = [row for row in PAGE.partition("\n## The case\n")[2].partition("\n## ")[0].splitlines() if row[:2] == "| "]
+    assert len(rows) > len(("hazard", "and one claim"))
+    assert [row for row in rows[1:] if len(cells := row.split(" | ")) != len("hctd") or "::" not in cells[2]] == []
+
+
+def test_each_setting_that_it_names_exists() -> None:
+    sections = asdict(Settings())
+    named = [each for each in re.findall(r"`([a-z_]+)\.([a-z_]+)\b(?!\()", PAGE) if each[0] in sections]
+    assert named
+    assert [f"{section}.{name}" for section, name in named if name not in sections[section]] == []
+
+
+def test_each_kernel_scene_that_it_names_exists() -> None:
+    named = [scene for row in re.findall(r"`make kernel`: ([^|<]+)", PAGE) for scene in re.findall(r"`([\w-]+)`", row)]
+    assert named
+    assert [scene for scene in named if scene not in SCENES] == []
+
+
+def test_commands_of_one_instant_apply_in_this_order() -> None:
+    targets = [parsed.target for parsed in COMMAND_KEYS.values()]
+    assert targets == [Target.LEGS, *[Target.LEG] * 6, *[Target.SERVO] * 18, Target.ESTOP, Target.RESET]
+
+
+def test_what_is_built_is_parsed() -> None:
+    for leg in LEGS:
+        assert parse(leg_command(leg)) == CommandKey(Target.LEG, leg)
+    for servo_id in SERVO_IDS:
+        assert parse(servo_command(servo_id)) == CommandKey(Target.SERVO, servo_id)
+
+
+NO_LEG = "does not exist; legs are 1 to 6"
+NO_SERVO = "does not exist; an id is the leg (1 to 6) and the joint (1 to 3), such as 32"
+NO_KEY = "is no command key; they are leg/1..6, servo/11..63, legs, estop and reset"
+
+
+@pytest.mark.parametrize(("leg", "servo_id"), [(-1, -11), (0, 0), (7, 71), (11, 14), (64, 64)])
+def test_no_key_for_a_leg_or_a_servo_that_is_none(leg: int, servo_id: int) -> None:
+    with pytest.raises(ValueError, match=f"^leg {leg} {NO_LEG}$"):
+        leg_command(leg)
+    with pytest.raises(ValueError, match=f"^servo {servo_id} {re.escape(NO_SERVO)}"):
+        servo_command(servo_id)
+
+
+@pytest.mark.parametrize(
+    ("key", "sentence"),
+    [
+        ("hexapod/leg/01/cmd", f"leg 01 {NO_LEG}"),
+        ("hexapod/servo/14/cmd", f"servo 14 {NO_SERVO}"),
+        ("hexapod/leg/1/2/cmd", f"hexapod/leg/1/2/cmd {NO_KEY}"),
+        ("", f'"" {NO_KEY}'),
+        ("hexapod/leg/a\nb/cmd", rf'leg "a\nb" {NO_LEG}'),
+        (f"hexapod/servo/{'9' * 999}/cmd", f"servo {'9' * 60}… {NO_SERVO}"),
+        ("hexapod/\x1b[2J/cmd", rf'"hexapod/\u001b[2J/cmd" {NO_KEY}'),
+    ],
+)
+def test_what_is_no_command_key(key: str, sentence: str) -> None:
+    with pytest.raises(ValueError, match=f"^{re.escape(sentence)}$"):
+        parse(key)

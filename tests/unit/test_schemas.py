@@ -1,4 +1,4 @@
-"""The JSON Schemas say what the models say."""
+"""The JSON Schemas say what the models say; old and later payloads are read; the state is at most 2 048 bytes."""
 
 import json
 from datetime import UTC, datetime
@@ -14,13 +14,37 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 from gateway.errors import RejectedError
 from schemas.__main__ import documents
 from schemas.button import BUTTON_REQUEST, ButtonAck
+from schemas.calibration import Calibration
 from schemas.command import MAX_PAYLOAD_BYTES, SERVO_COMMAND, LegCommand, LegsCommand, ResetCommand
 from schemas.keys import CommandKey, Target
 from schemas.lease import LEASE_REQUEST, LeaseAck
 from schemas.revocation import RevocationAck
-from schemas.robot import LEGS
-from schemas.state import StateReport
-from schemas.telemetry import Ack, Cause, ConfigReport, Event, FrameRecord, Kind, Reason
+from schemas.robot import LEGS, SERVO_IDS
+from schemas.state import MAX_STATE_BYTES, LegsReport, StateReport, joined
+from schemas.telemetry import (
+    CUT,
+    Ack,
+    Battery,
+    ButtonsAlive,
+    Cause,
+    CommandCounts,
+    ConfigReport,
+    ControllerReport,
+    Event,
+    FrameRecord,
+    GatewayState,
+    Kind,
+    LeaseReport,
+    LoopLag,
+    Mode,
+    PowerReport,
+    Reason,
+    SpiCounts,
+    StopLatency,
+    WatchdogCounts,
+    WatchdogState,
+)
+from tests.support import published
 from tests.support.commands import FAULTS, LEG, as_json
 
 SCHEMAS = {name.removesuffix(".json"): json.loads(text) for name, text in documents().items()}
@@ -210,3 +234,154 @@ def test_what_comes_in_is_closed_and_what_goes_out_is_open(name: str) -> None:
             assert schema.get("additionalProperties") is not False
         else:
             assert schema.get("additionalProperties") is False or "propertyNames" in schema
+
+
+MANY = 2**53 - 1
+LONG_MS = 123_456_789_012.34567
+WHEN = datetime(2026, 11, 26, 22, 0, 0, 123456, UTC)
+
+
+def fullest(source: str) -> StateReport:
+    """Return every field as long as it can be; each leg has another source, which begins with a number."""
+
+    def name(number: int) -> str:
+        return f"{number:02}{source}"[:64]
+
+    angles_deg = [[round(170.01 + (10 * leg + joint) / 100, 2) for joint in (1, 2, 3)] for leg in LEGS]
+    legs = {
+        "watchdog": [WatchdogState.EXPIRED] * 6,
+        "age_ms": [round(LONG_MS, 1)] * 6,
+        "angles_deg": angles_deg,
+        "targets_deg": [[179.99] * 3] * 6,
+        "source": range(6),
+    }
+    return StateReport(
+        config="f" * 8,
+        mode=Mode.BUS_FAULT,
+        time=WHEN,
+        uptime_s=LONG_MS,
+        legs=LegsReport.model_validate(legs),
+        sources=tuple(map(name, LEGS)),
+        source_ids=tuple(f"{leg:032x}" for leg in LEGS),
+        commands=CommandCounts(accepted=MANY, rejected=MANY, coalesced=MANY, overflows=MANY, lost=MANY),
+        spi=SpiCounts(frames=MANY, errors=MANY),
+        watchdog=WatchdogCounts(
+            expirations=MANY, stop_latency_us=StopLatency(p50=98765.4321012345, p99=98765.4321012345, max=LONG_MS)
+        ),
+        estop=MANY,
+        estop_source=name(7),
+        estop_since=WHEN,
+        estop_fault="/var/lib/hexapod-gateway/" + "x" * 400,
+        lease=LeaseReport(holder=name(8), verified=True, held_s=LONG_MS, expires_in_ms=LONG_MS, asked_by=name(9)),
+        buttons=ButtonsAlive(alive=16, names=tuple(name(number) for number in range(10, 40))),
+        loop_lag_us=LoopLag(p50=98765.4321012345, p99=98765.4321012345, max=LONG_MS),
+        incident="2026-11-26T22-00-00Z-" + "x" * 60,
+        controller=ControllerReport(alive=False, age_ms=LONG_MS),
+        battery=Battery(voltage_v=7.400000095367432, percent=80.00000190734863),
+        power=PowerReport(
+            interface="/dev/serial/by-id/" + "x" * 200, alive=True, supplied=SERVO_IDS, confirmed=False, age_ms=LONG_MS
+        ),
+    )
+
+
+STATE_NAMES = ["", "x" * 64, "\N{SPIDER}" * 64, "\0" * 64, '"' * 64]
+
+
+@pytest.mark.parametrize("source", STATE_NAMES, ids=["short", "long", "wide", "control", "quotes"])
+def test_the_fullest_state_is_at_most_2048_bytes(source: str) -> None:
+    state = fullest(source).fitted()
+    sent = state.model_dump_json().encode()
+    assert len(sent) <= MAX_STATE_BYTES
+    assert StateReport.model_validate_json(sent).model_dump_json().encode() == sent
+    assert state.legs == fullest(source).legs, "only texts are cut"
+
+
+@given(st.text(min_size=1, max_size=64), st.text(max_size=400))
+def test_no_text_makes_the_state_too_large(source: str, fault: str) -> None:
+    state = fullest(source).model_copy(update={"estop_fault": fault}).fitted()
+    assert len(state.model_dump_json().encode()) <= MAX_STATE_BYTES
+
+
+def test_a_cut_name_is_still_its_sources() -> None:
+    legs = joined(fullest("x" * 64).fitted(), ConfigReport.model_validate(dict(published.state()))).legs
+    assert str(legs[0].source).endswith(CUT)
+    name, own, other = "01" + "x" * 62, f"{1:032x}", f"{2:032x}"
+    assert legs[0].is_of(name, own), "by its id, if nothing else is left"
+    assert not legs[0].is_of(name, other)
+    assert legs[0].model_copy(update={"source": "01x" + CUT}).is_of(name)
+    assert not legs[0].is_of("02" + "x" * 62)
+    assert not legs[0].model_copy(update={"source": CUT}).is_of("anna"), "a name of which nothing is left is nobody's"
+
+
+RECORDINGS = Path(__file__).parents[1] / "data" / "wire"
+MODELS: dict[str, type[BaseModel]] = {
+    "ack": Ack,
+    "state": StateReport,
+    "config": ConfigReport,
+    "event": Event,
+    "frame": FrameRecord,
+    "lease": LeaseAck,
+    "calibration": Calibration,
+    "button": ButtonAck,
+}
+BEFORE_CONFIG = "1.0"
+"""Its states have the configuration inside, as recordings of rides do."""
+
+RECORDED = [
+    (
+        f"{path.parent.name}/{path.name}:{number}",
+        GatewayState if path.stem == "state" and path.parent.name == BEFORE_CONFIG else MODELS[path.stem],
+        line,
+    )
+    for path in sorted(RECORDINGS.glob("*/*.jsonl"))
+    for number, line in enumerate(path.read_text().splitlines(), start=1)
+]
+
+
+def from_the_future(value: Any) -> Any:
+    """Return the same with a new field in every object, and every word that a list of known ones has changed.
+
+    Where an object's names are servos it stays as it is: there are no others.
+    """
+    if isinstance(value, list):
+        return [from_the_future(inner) for inner in value]
+    if not isinstance(value, dict):
+        return value
+    if value and all(name.isdecimal() for name in value):
+        return {name: from_the_future(inner) for name, inner in value.items()}
+    words = {name: f"new_{text}" for name, text in value.items() if name in _WORDS and isinstance(text, str)}
+    return {name: from_the_future(inner) for name, inner in value.items()} | words | {"tomorrow": {"more": [1]}}
+
+
+def contains(whole: Any, part: Any) -> bool:
+    """Return whether everything in `part` stands in `whole` too."""
+    if isinstance(part, dict):
+        return all(name in whole and contains(whole[name], inner) for name, inner in part.items())
+    if isinstance(part, list):
+        return len(whole) == len(part) and all(map(contains, whole, part))
+    return bool(whole == part)
+
+
+_WORDS = ("kind", "mode", "reason", "cause", "watchdog")
+
+
+def test_every_kind_of_payload_has_been_recorded() -> None:
+    assert {path.parent.name for path in RECORDINGS.glob("*/*.jsonl")} == {BEFORE_CONFIG, "1.1"}
+    for version, missing in {BEFORE_CONFIG: {"config", "lease", "calibration", "button"}, "1.1": set[str]()}.items():
+        assert {path.stem for path in (RECORDINGS / version).glob("*.jsonl")} == MODELS.keys() - missing, version
+    assert '"revocations":{"number":1' in (RECORDINGS / "1.1/config.jsonl").read_text()
+
+
+def test_what_earlier_versions_sent_is_read_whole() -> None:
+    for place, model, line in RECORDED:
+        read = model.model_validate_json(line)
+        assert contains(json.loads(read.model_dump_json()), json.loads(line)), place
+
+
+def test_what_later_versions_may_send_is_read_and_new_words_stay_text() -> None:
+    for place, model, line in RECORDED:
+        later = from_the_future(json.loads(line))
+        read = json.loads(model.model_validate_json(json.dumps(later)).model_dump_json())
+        for word in _WORDS:
+            if isinstance(later.get(word), str):
+                assert read[word] == later[word], place

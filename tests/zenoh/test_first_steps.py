@@ -15,9 +15,9 @@ from gateway.client import Client
 from tests.support.child import Child
 from tests.support.command import parse
 from tests.support.console_process import LINK
-from tests.support.descendants import MARK, Run
 from tests.support.gateway_process import COMMAND, READY, free_port
 from tests.support.heard import frames
+from tests.support.runs import MARK, Run
 from tests.support.waiting import wait_until
 
 REPOSITORY = Path(__file__).parents[2]

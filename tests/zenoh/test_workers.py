@@ -12,10 +12,10 @@ def test_workers_that_end_are_replaced_and_the_tests_that_ended_them_do_not_run_
 ) -> None:
     """Two at once, which a machine that stood still does to the tests that it held up."""
     pytester.makeconftest("""
-        from tests.support import failures
+        from tests.support import runs
         from tests.support.workers import pytest_xdist_make_scheduler
         def pytest_runtest_logreport(report):
-            failures.add(report)
+            runs.add(report)
     """)
     ends = "import os, pytest\n@pytest.mark.parametrize('n', range(9))\ndef test_it(n):\n    n == 4 and os._exit(1)\n"
     pytester.makepyfile(test_one=ends, test_other=ends, test_third="def test_it():\n    pass")

@@ -1,9 +1,4 @@
-"""What a run of the tests has started, wherever it hangs in the tree of processes: found by a mark, and ended.
-
-A process does not end with its parent: it goes on as init's child, and a console among them goes on listening. So each
-process of a run has the run's mark in its environment, and hands it on to all that it starts. The mark of a run within
-another one begins with that one's.
-"""
+"""A run of the tests: its failed tests, a line each; and the processes it has started, found by a mark, and ended."""
 
 import os
 import secrets
@@ -11,12 +6,44 @@ import select
 import signal
 import time
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import FrameType
 from typing import Final
 
+import pytest
+
 from tests.support.waiting import Closing
+
+LIST: Final = "TESTS_FAILED"
+"""The environment variable that names the list, for the stages."""
+_WIDTH, _MOST = 200, 20
+
+
+@contextmanager
+def listed() -> Iterator[None]:
+    """Collect what fails in the stages that begin within, and print it at the end."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "failed"
+        path.touch()
+        os.environ[LIST] = str(path)
+        try:
+            yield
+        finally:
+            for line in path.read_text(encoding="utf-8").splitlines()[:_MOST]:
+                print(line)
+
+
+def add(report: pytest.TestReport) -> None:
+    """Add a failed test to the run's list, if there is one; a worker's reports come to its controller, too."""
+    path = os.environ.get(LIST)
+    if report.failed and path and "PYTEST_XDIST_WORKER" not in os.environ:
+        crash = getattr(report.longrepr, "reprcrash", None)
+        why = (crash.message if crash else str(report.longrepr)).strip().partition("\n")[0]
+        with Path(path).open("a", encoding="utf-8") as lines:
+            lines.write(f"failed in {report.when}: {report.nodeid}: {why}"[:_WIDTH] + "\n")
+
 
 MARK: Final = "TESTS_RUN"
 PATIENCE_S: Final = {signal.SIGTERM: 10.0, signal.SIGKILL: 5.0}
