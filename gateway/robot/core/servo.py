@@ -68,7 +68,7 @@ class Servo:  # mutants accepted (Step): set before it is read
     """The newest operation that no frame has completed: a start, or a set."""
     command: Command = _NO_COMMAND
     """The command of `target`."""
-    begun: bool = False
+    begun: bool = False  # mutants accepted (FalseWithTrue): set before it is read
     """Whether a frame has made a step towards `target`, since the servo's speed is limited. Its command is done."""
     from_cdeg: int | None = None
     """The angle at which its waiting start begins: where it stood, if known, or if supply starts servos, the first
@@ -131,7 +131,7 @@ class Servo:  # mutants accepted (Step): set before it is read
     @property
     def newest(self) -> ServoOp:
         """The target that a frame may carry out. Raises IllegalTransition if there is none."""
-        if self.target is None or self.life is OFF:
+        if self.target is None:
             raise IllegalTransition(f"servo {self.servo_id} is {self.life} without a target, and a frame moves it")
         return self.target
 

@@ -18,6 +18,7 @@ from gateway.rate_limit import NS_PER_MS, NS_PER_S
 from gateway.robot.core import servo as module
 from gateway.robot.core.events import Command
 from gateway.robot.core.gates.rate import RateSlots
+from gateway.robot.core.leg import leg_at_rest
 from gateway.robot.core.pace import Paces, step
 from gateway.robot.core.rules import Rules
 from gateway.robot.core.servo import AFTER, OFF, RUNNING, WAITING, IllegalTransition, Life, Servo
@@ -125,6 +126,29 @@ def test_a_landing_in_time_arrives_two_rate_slots_before_its_end(first: int, las
     assert servo.angle_cdeg == last
 
 
+def test_what_a_landing_makes_up_for_has_the_servo_s_own_speed() -> None:
+    pace = Paces(Rules(max_speed_cdeg_s={32: 10_00}, landing_ns=NS_PER_S), AngleLimits())
+    servo = Servo(32, RUNNING, 0)
+    pace.land(servo, 90_00, 0)
+    assert pace.step(servo, 995 * NS_PER_MS, 0, lands=True).angle_cdeg == 20, "a rate slot's part, though it is late"
+    assert pace.step(servo, 1000 * NS_PER_MS, 995 * NS_PER_MS, lands=True).angle_cdeg == 25, "5 ms after a frame"
+    assert pace.step(servo, 1020 * NS_PER_MS, 1000 * NS_PER_MS, lands=True).angle_cdeg == 45
+
+
+@pytest.mark.parametrize("takeover_cdeg_s", [0, 180_00])
+def test_another_source_is_eased_from_the_leg_s_last_frame_if_the_setting_says_so(takeover_cdeg_s: int) -> None:
+    leg = leg_at_rest(1, PERIOD_NS)
+    leg.slots.take(7)
+    pace, servo = Paces(Rules(takeover_cdeg_s=takeover_cdeg_s), AngleLimits()), in_state(RUNNING)
+    pace.take_over(leg, servo)
+    assert (servo.pace_cdeg_s, servo.since_ns) == ((takeover_cdeg_s, 7) if takeover_cdeg_s else (None, 5))
+    servo.ease(1, 8)
+    pace.take_over(leg, servo)
+    assert (servo.pace_cdeg_s, servo.since_ns) == (1, 8), "once, however often the source changes"
+    pace.take_over(leg, waiting := in_state(WAITING))
+    assert waiting.pace_cdeg_s is None, "its start sets its pace"
+
+
 ROBOT: Final = Path(module.__file__).parents[1]
 COMMAND: Final = Command(((11, STARTS[20_00]),), source="anna")
 EVENTS: Final[dict[str, Callable[[Servo], object]]] = {
@@ -165,6 +189,15 @@ def test_each_event_leads_where_the_table_says_or_changes_nothing(event: str, li
         with pytest.raises(IllegalTransition, match="servo 11 is off"):
             EVENTS[event](servo)
         assert values(servo) == before
+
+
+def test_no_frame_moves_a_running_servo_without_a_target() -> None:
+    servo = in_state(RUNNING)
+    servo.drop()
+    before = values(servo)
+    with pytest.raises(IllegalTransition, match="running without a target"):
+        servo.wrote_target(9)
+    assert values(servo) == before
 
 
 def test_only_a_running_servo_without_a_target_goes_the_usual_way() -> None:
