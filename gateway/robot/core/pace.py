@@ -75,7 +75,6 @@ class Paces:
 
     # ---- its steps
 
-    # mutants accepted (Forget): only time is lost
     def step(self, servo: Servo, now_ns: int, before_ns: int, *, lands: bool) -> ServoOp:
         """Return the operation in the frame that leaves now, which the servo records: its target, or a step.
 

@@ -92,7 +92,6 @@ class PowerRule(Interlock[PowerSeen]):
         self._withheld |= dict.fromkeys(SERVO_IDS if deaf else (), deaf)
         self._withheld |= {servo_id: _DREW for servo_id, _ in event.drew if not deaf}
         self._withheld |= dict.fromkeys(event.taken - self._blocked.keys(), _TAKEN)  # such as by `stop-servos`
-        self.closed = not event.alive or bool(self._withheld or self._blocked)
         self.trusted = self.trusted or event.rests
         if event.lost - event.taken - self._blocked.keys():  # a silence, perhaps over by now: it may have restarted
             self.trusted = self._rules.angles_first
@@ -111,7 +110,6 @@ class PowerRule(Interlock[PowerSeen]):
     def reset(self) -> list[Effect]:
         """Allow all servos to be powered again, after an accepted reset."""
         self._withheld.clear()
-        self.closed = not self.alive or bool(self._blocked)
         return [ClearErrors()]
 
     def _stop(self, unfed: Collection[int], detail: str, now_ns: int) -> list[Effect]:
@@ -130,7 +128,7 @@ class PowerRule(Interlock[PowerSeen]):
         why, before = _WHY.get(mode), self._asked
         if outside:  # `stop-servos` cuts power even if nothing shows it
             self._withheld |= dict.fromkeys(before, _TAKEN)
-            self.closed = True
+        self.closed = not self.alive or bool(self._withheld or self._blocked)
         if why or outside or not self.alive:
             self.trusted = self._rules.angles_first
         everything = why is not None and (why, estop) != self._cause  # others may have fed some

@@ -24,16 +24,11 @@ first interlock that objects. A rule's Stops precede the answer to its event.
 Further rules, here and in `Legs`, by their names in docs/interface.md, *Behaviour*:
 
 *Start*: Before the first `BusOpened`, nothing is accepted. It stops all six legs, at the start and after a fault.
-*Start before Set*: A command with a `set` for a servo that neither runs nor waits to be started is rejected.
-*Rate limit*: Stops precede all other effects of a step.
 *Answered in part*: Of a rejected command, the Stops are carried out, whatever the reason.
-*Watchdog*: Deadlines precede a command of the same step, so a late command does not save its leg.
-*Legs at rest*: These Stops do not precede a first Stop. A due Stop is never postponed.
 *Bus fault*: `BusFailed` drops waiting commands. Until `BusOpened` nothing is sent, and every request is rejected. The
     latch of an emergency stop remains.
 *End*: `ShutDown` rejects all further events except an emergency stop. A bus that answers again only then still gets its
     Stops.
-*The whole robot*: Either all servos run or wait to be started, or none does.
 
 Within one instant, the order of messages from different channels is unknown. So a Stop wins over a Start or Set of
 another channel, and the emergency stop wins over a reset.
@@ -215,13 +210,13 @@ class Supervisor:
         for each in self._interlocks:
             if each.due_ns is not None:
                 self.due_ns = each.due_ns if self.due_ns is None else min(self.due_ns, each.due_ns)
-        self.usual_ns = self._usual_until_ns()
         effects += legs.halted()
         effects = sorted(effects, key=_after_stops) if legs.stops.sent else effects
         # 10. the supply
-        if not self._rules.power:
-            return effects
-        return self.power.supply(effects, self.mode, self.latch.number, outside=self.outside.closed)
+        if self._rules.power:
+            effects = self.power.supply(effects, self.mode, self.latch.number, outside=self.outside.closed)
+        self.usual_ns = self._usual_until_ns()
+        return effects
 
     def _usual_until_ns(self) -> int:
         """Return until when a command for running servos meets no rule but the lease (ns); 0: it may meet one now."""

@@ -135,6 +135,23 @@ def test_what_a_landing_makes_up_for_has_the_servo_s_own_speed() -> None:
     assert pace.step(servo, 1020 * NS_PER_MS, 1000 * NS_PER_MS, lands=True).angle_cdeg == 45
 
 
+def test_a_servo_that_stands_at_its_landing_angle_gets_no_target() -> None:
+    servo = Servo(32, RUNNING, 90_00)
+    Paces(Rules(landing_ns=NS_PER_S), AngleLimits()).land(servo, 90_00, 0)
+    assert servo.target is None
+
+
+@pytest.mark.parametrize("angles_first", [True, False])
+def test_a_start_begins_at_its_target_if_supply_starts_the_servo(angles_first: bool) -> None:
+    pace = Paces(Rules(angles_first=angles_first, max_speed_cdeg_s={11: 1_00}), AngleLimits())
+    servo, start = Servo(11), STARTS[90_00]
+    assert pace.begin_cdeg(servo, start, 0) == (90_00 if angles_first else None)
+    servo.take(start, COMMAND, pace.begin_cdeg(servo, start, 0))
+    servo.take(SETS[80_00], COMMAND)
+    assert pace.step(servo, NS_PER_S, 0, lands=False).angle_cdeg == (90_00 if angles_first else 80_00)
+    assert servo.pace_cdeg_s is None, "no take-over is set"
+
+
 @pytest.mark.parametrize("takeover_cdeg_s", [0, 180_00])
 def test_another_source_is_eased_from_the_leg_s_last_frame_if_the_setting_says_so(takeover_cdeg_s: int) -> None:
     leg = leg_at_rest(1, PERIOD_NS)
