@@ -1,6 +1,7 @@
 """The page tells the true cause, in its viewer's words, and what cannot work looks so; and who drives."""
 
 import re
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Final
 
@@ -11,6 +12,7 @@ from gateway.client import Client
 from schemas.robot import LEGS
 from tests.console.browser import PHONE, Opened, Visitor
 from tests.support.console_process import Console
+from tests.support.cut_link import CutLink
 from tests.support.fixtures import patient
 from tests.support.gateway_process import Gateway, free_port
 from tests.support.heard import servos_on
@@ -86,8 +88,18 @@ def test_who_moves_the_legs_without_the_lease_is_named(visitor: Visitor, gateway
     expect(page["driver"]).to_have_text("nobody")
 
 
-def test_each_cause_has_words_and_none_sends_a_phone_to_a_terminal(visitor: Visitor) -> None:
-    page = visitor.open()
+def test_each_cause_has_words_and_none_sends_a_phone_to_a_terminal(
+    browser: Browser, console: Console, gateway: Gateway
+) -> None:
+    with ExitStack() as stack:
+        tunnel = stack.enter_context(CutLink(f"tcp/127.0.0.1:{console.port}"))
+        url = tunnel.endpoint.replace("tcp/", "http://")
+        signed_in = console.sign_in(console.new_link().replace(console.url, url))
+        page = stack.enter_context(Visitor(browser, url, signed_in, gateway)).open()
+        expect_words_of_each_cause(page, console)
+
+
+def expect_words_of_each_cause(page: Opened, console: Console) -> None:
     worded = page.module(
         "words",
         "(m, causes) => causes.map((cause) => "
@@ -99,7 +111,11 @@ def test_each_cause_has_words_and_none_sends_a_phone_to_a_terminal(visitor: Visi
         assert not TYPED.search(f"{each}"), cause
     assert "bert" in worded[CAUSES.index("taken")]["line"]
     typed = page.module("words", "(m) => ['lost', 'signed_out'].map((cause) => m.ended({ cause }, true).next)")
-    assert all(f"console --listen {page.page.url.split('/')[2]}" in each for each in typed), "where this page is"
+    listens = f"--listen {console.url.removeprefix('http://')}"
+    assert [each.partition(": ")[2] for each in typed] == [
+        f"hexapod-gateway console {listens}",
+        f"hexapod-gateway console --link {listens}",
+    ], "of the console, also behind a tunnel"
 
 
 def test_a_driver_who_loads_the_page_anew_still_is_you_and_another_page_is_not(visitor: Visitor) -> None:

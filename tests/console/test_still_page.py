@@ -16,6 +16,8 @@ HELD: Final = ((320, 568), (568, 320), (360, 640), (640, 360), (390, 844), (844,
 DESKS: Final = ((1280, 800), (1440, 900))
 SMALL: Final = ((390, 400), (360, 320), (320, 200), (500, 270))
 """Half of a split screen, and phones with a keyboard open."""
+FLAT: Final = ((1000, 450), (1024, 456), (1200, 460), (1400, 320))
+"""Windows of a desk above another one."""
 HEAR: Final = """
 const listen = WebSocket.prototype.addEventListener;
 WebSocket.prototype.addEventListener = function (name, heard, ...more) {
@@ -272,7 +274,7 @@ OVERLAPS: Final = """() => {
 """Controls that are over another or cut, badges that nobody can read, and whether STOP ALL and Reset can be tapped."""
 
 
-SIZES: Final = pytest.mark.parametrize("size", [*SMALL, *HELD, *DESKS], ids=lambda size: f"{size[0]}x{size[1]}")
+SIZES: Final = pytest.mark.parametrize("size", [*SMALL, *HELD, *FLAT, *DESKS], ids=lambda size: f"{size[0]}x{size[1]}")
 
 
 @SIZES
@@ -283,7 +285,7 @@ def test_no_control_is_over_another_or_cut_and_stop_all_can_be_tapped(size: tupl
 def overlap_nowhere(size: tuple[int, int], visitor: Visitor, views: Sequence[str] = ("no",)) -> None:
     """Look at each situation, and at what *More* shows. `views`: whether the camera's picture is alone."""
     width, height = size
-    held = size not in DESKS
+    held = size not in (*FLAT, *DESKS)
     page = visitor.open(script=HEAR, viewport={"width": width, "height": height}, has_touch=held, is_mobile=held)
     found = list[str]()
     for name, shown in situations("root").items():

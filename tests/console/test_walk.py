@@ -4,6 +4,7 @@ import re
 from collections import deque
 from collections.abc import Callable
 from functools import partial
+from typing import Final
 
 import pytest
 from playwright.sync_api import expect
@@ -19,6 +20,28 @@ pytestmark = pytest.mark.browser
 gateway = gateway_fixture(patient())
 console = console_fixture()
 session = session_fixture()
+
+
+CHANGES_ONLY: Final = """
+let before = "";
+navigator.getGamepads = () => {
+  window.looks += 1;
+  const now = JSON.stringify([pad.axes, pad.buttons]);
+  if (now !== before) window.pad.timestamp += 1;
+  before = now;
+  return [window.pad];
+};
+"""
+BAND: Final = """
+window.band = [];
+const look = () => {
+  const band = document.getElementById("stop-known");
+  if (band?.checkVisibility({ visibilityProperty: true })) window.band.push(band.textContent.trim());
+  requestAnimationFrame(look);
+};
+requestAnimationFrame(look);
+"""
+"""Keeps what the band next to STOP ALL shows with each frame, from the first one."""
 
 
 def push(page: Opened) -> None:
@@ -120,9 +143,7 @@ def test_a_gamepad_out_of_reach_counts_as_let_go_and_each_ones_b_button_is_stop_
     page.get_lease()
     walks(page, push_stick)
     page.page.evaluate("window.frozen = true")
-    expect(page.said).to_have_text(
-        "It stands still: the gamepad sends nothing; let its sticks go, and push again.", timeout=3000
-    )
+    expect(page.said).to_have_text("It stands still: the gamepad sent nothing for 0.5 s.", timeout=3000)
     expect(page["walk-known"]).to_contain_text("It stands")
     page.page.evaluate("window.frozen = false")
     expect_no_walk_by_a_held_stick(page)
@@ -136,15 +157,58 @@ def test_a_gamepad_out_of_reach_counts_as_let_go_and_each_ones_b_button_is_stop_
         expect(page["stop-line"]).to_have_text("Escape or space, at any time")
 
 
+@pytest.mark.parametrize("shoulder", [False, True])
+def test_a_gamepad_that_reports_changes_only_holds_a_stick_at_its_end_with_a_shoulder_button(
+    visitor: Visitor, *, shoulder: bool
+) -> None:
+    """Its clock goes on only with its values, so it is silent while a stick is at its end."""
+    page = visitor.open(script=GAMEPAD + CHANGES_ONLY + WISHES)
+    page.get_lease()
+    page.page.evaluate("(pressed) => { pad.buttons[4].pressed = pressed; }", shoulder)
+    walks(page, push_stick)
+    if not shoulder:
+        remedy = "to hold a stick at its end, hold a shoulder button too"
+        expect(page.said).to_have_text(f"It stands still: the gamepad sent nothing for 0.5 s; {remedy}.")
+        expect_no_walk_by_a_held_stick(page)
+        return
+    page.page.evaluate("window.wishes = []")
+    page.page.wait_for_function("() => window.wishes.length > 60")  # six times as long
+    assert page.page.evaluate("window.wishes.every((wish) => wish.forward_m_s)")
+    expect(page.said).to_have_text("It stands still: the gamepad sent nothing for 10 s.")  # it may be out of reach
+
+
+LAYOUTS: Final = {"Russian": "ц", "Greek": "ς", "AZERTY": "z", "Arabic": "ص"}
+"""What the key at the place of W types."""
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_the_key_at_the_place_of_w_walks_whatever_it_types(layout: str, visitor: Visitor) -> None:
+    page = visitor.open()
+    page.get_lease()
+    devtools = page.devtools()
+
+    def key(kind: str) -> None:
+        devtools.send("Input.dispatchKeyEvent", {"type": kind, "key": LAYOUTS[layout], "code": "KeyW"})
+
+    def press_anew(_: Opened) -> None:
+        key("keyUp")
+        key("keyDown")
+
+    walks(page, press_anew)
+    key("keyUp")
+    expect(page["walk-known"]).to_contain_text("It stands")
+
+
 def test_a_page_that_is_loaded_anew_drives_on_and_stands_until_something_is_pressed(
     visitor: Visitor, watcher: Client
 ) -> None:
     """On a phone a reload is one pull with the thumb. A page of another browser gets nothing by it."""
-    page = visitor.open(script=WISHES)
+    page = visitor.open(script=WISHES + BAND)
     page.get_lease()
     walks(page, push)
     page.page.reload()
     expect(page["driver"]).to_have_text("you", timeout=2000)
+    assert not [line for line in page.page.evaluate("window.band") if "NOT CONNECTED" in line]
     expect(page["walk-known"]).to_contain_text("It stands")
     page.page.wait_for_function("() => window.wishes.length > 120")  # longer than a silent page's robot stands
     assert not page.page.evaluate("window.wishes.some((wish) => wish.forward_m_s)")

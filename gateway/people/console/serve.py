@@ -60,12 +60,15 @@ NEXT: Final = "next"
 class Console:
     """Serves the pages, with what they share."""
 
-    def __init__(self, sessions: Sessions, pages: Pages, shared: Shared, found: Mapping[str, Camera]) -> None:
-        """`found`: the cameras by name."""
+    def __init__(
+        self, sessions: Sessions, pages: Pages, shared: Shared, found: Mapping[str, Camera], commands: Mapping[str, str]
+    ) -> None:
+        """`found`: the cameras by name. `commands`: what starts it again, and prints a link, for a page's viewer."""
         self._sessions = sessions
         self._pages = pages
         self._shared = shared
         self._cameras = found
+        self._commands = commands
         self._showing: set[WebSocket] = set()
         """Those of cameras."""
         self._by_number: dict[tuple[str, str], Page] = {}
@@ -156,6 +159,7 @@ class Console:
             "page": number,
             "cameras": tuple(self._cameras),
             "stale_ms": self._shared.stale_ms,
+            "commands": self._commands,
         }
         self._pages.add(page)
         why = ""
@@ -270,6 +274,7 @@ async def _run(
             options.camera_stale_ms,
         ),
         cameras(options.cameras),
+        {"start": site.start_command, "link": site.link_command},
     )
     auth = Auth(site, found)
     sys.setswitchinterval(realtime.SWITCH_INTERVAL_S)  # Zenoh's threads and those that ask share the interpreter

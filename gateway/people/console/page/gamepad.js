@@ -52,7 +52,7 @@ class Known {
     this.centredMs = nowMs;
   }
 
-  /** Why what it holds counts no longer, in words; "" if it counts. @param {Gamepad} pad @param {number} nowMs */
+  /** Why what it holds counts no longer, in words that stay true; "" if it counts. @param {Gamepad} pad @param {number} nowMs */
   whyNot(pad, nowMs) {
     if (pad.timestamp !== this.timestamp) {
       const values = [...pad.axes, ...pad.buttons.map((button) => button.value)].join();
@@ -66,11 +66,12 @@ class Known {
     if (!sticks || shoulder) this.centredMs = nowMs;
     const deadMan = shoulder || pulled;
     const silentMs = nowMs - this.seenMs;
-    if ((sticks || pulled) && silentMs > (deadMan && !this.repeats ? PUSH_MS : SILENT_MS)) {
-      if (this.repeats || deadMan) return "the gamepad sends nothing; let its sticks go, and push again";
-      return "this gamepad reports changes only; to hold a stick at its end, hold a shoulder button too";
+    const longestMs = deadMan && !this.repeats ? PUSH_MS : SILENT_MS;
+    if ((sticks || pulled) && silentMs > longestMs) {
+      const why = `the gamepad sent nothing for ${longestMs / 1000} s`;
+      return this.repeats || deadMan ? why : `${why}; to hold a stick at its end, hold a shoulder button too`;
     }
-    if (nowMs - this.centredMs > PUSH_MS) return `a stick was pushed for ${PUSH_MS / 1000} s; let it go once, or hold a shoulder button`;
+    if (nowMs - this.centredMs > PUSH_MS) return `a stick was pushed for ${PUSH_MS / 1000} s; to push it longer, hold a shoulder button`;
     return "";
   }
 }
@@ -79,7 +80,7 @@ export class Pad {
   /**
    * @param {import("./hold.js").Hold} hold @param {import("./targets.js").Targets} targets
    * @param {import("./walk.js").Walk} walk
-   * @param {{leg: () => number, stopAll: () => void, say: (line: string) => void}} callbacks
+   * @param {{leg: () => number, stopAll: () => void, say: import("./words.js").Say}} callbacks
    */
   constructor(hold, targets, walk, callbacks) {
     this.hold = hold;
@@ -140,14 +141,14 @@ export class Pad {
     this.unusable = unusable;
     show(byId("gamepad-unusable"), unusable !== "");
     text(byId("gamepad-unusable"), unusable);
-    if (unusable) this.callbacks.say(unusable);
+    if (unusable) this.callbacks.say(() => (this.unusable === unusable ? unusable : ""));
   }
 
   /** The gamepad in this place is gone; another one there needs a press of its own. @param {number} index */
   #lost(index) {
     const known = this.known.get(index);
     this.known.delete(index);
-    if (known) this.#drop(known, "the gamepad is disconnected");
+    if (known) this.#drop(known, "the gamepad was disconnected");
   }
 
   /** What it holds no longer counts. @param {Known} known @param {string} why */

@@ -20,7 +20,7 @@ import { StopAll } from "./stop.js";
 import { Targets } from "./targets.js";
 import { Upright } from "./upright.js";
 import { Walk } from "./walk.js";
-import { ended, news, sentence } from "./words.js";
+import { COMMANDS, ended, news, sentence } from "./words.js";
 
 const REFRESH_MS = 100;
 
@@ -125,7 +125,7 @@ function closed(end) {
   const known = !model.connected && end.cause === "lost" && ["closed", "deaf"].includes(model.end.cause); // and the next attempt failed
   if (!known) model.end = end;
   model.connected = false;
-  model.gateway = { type: "link", status: "gone", detail: "" };
+  model.gateway = { type: "link", status: "connecting", detail: "" };
   const { line } = ended(model.end);
   walk.end(line);
   hold.drop(line);
@@ -139,6 +139,7 @@ function received(message) {
   switch (message.type) {
     case "hello":
       model.hello = message;
+      Object.assign(COMMANDS, message.commands);
       walk.offer(message.gaits);
       walk.goOn(message.last_id);
       model.forgetEvents(); // the newest ones come again

@@ -113,8 +113,8 @@ export class Model {
     this.connected = false;
     /** Why it is not. @type {import("./words.js").End} */
     this.end = { cause: "connecting" };
-    /** The console's link to the gateway. @type {import("./types.js").LinkMessage} */
-    this.gateway = { type: "link", status: "gone", detail: "" };
+    /** The console's link to the gateway; *connecting* until the console has sent it. @type {import("./types.js").LinkMessage} */
+    this.gateway = { type: "link", status: "connecting", detail: "" };
     /** @type {GatewayEvent[]} newest first */
     this.events = [];
     /** @type {Map<string, {count: number, reason: string}>} */

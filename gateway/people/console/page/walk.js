@@ -161,7 +161,8 @@ export class Walk {
       this.callbacks.say(sentence(worded(this.model.who(plain(message.detail))), this.model.names));
       if (message.posture !== null && this.heightM !== null) this.heightM = message.height_m;
     } else if (message.limit && message.limit !== before?.limit) {
-      this.callbacks.say(`${message.scaled.some(Boolean) ? "Slower than that" : "It stands still"}: ${message.limit}.`);
+      const line = `${message.scaled.some(Boolean) ? "Slower than that" : "It stands still"}: ${message.limit}.`;
+      this.callbacks.say(() => (this.report?.limit === message.limit ? line : ""));
     } else if (message.now && message.now !== before?.now && !(this.dropped && message.posture === "standing")) {
       this.callbacks.say(() => (this.model.live(performance.now()) && this.report?.now === message.now ? `${worded(this.model.who(message.now))}.` : ""));
     }
@@ -221,7 +222,7 @@ export class Walk {
     if (!pushed.some(moves) || this.driving === pushed) return;
     if (this.driving) {
       for (const each of pushed) each.release();
-      this.callbacks.say("Something else drives already: let that go first, and push this anew.");
+      this.callbacks.say(() => (this.driving ? "Something else drives already: let that go first, and push this anew." : ""));
       return;
     }
     this.driver = pushed;

@@ -21,24 +21,24 @@ const DAY_MS = 86_400_000;
 
 /** Says what happened. A function is asked again and again, so that its sentence stays true; "" once it is over. @typedef {(line: string | (() => string)) => void} Say */
 
-/** The command that serves this page, for a viewer with a terminal. */
-const CONSOLE = `hexapod-gateway console${location.host === "127.0.0.1:8080" ? "" : ` --listen ${location.host}`}`;
+/** For a viewer with a terminal. The console names its own address: a tunnel's port is none. */
+export const COMMANDS = { start: "hexapod-gateway console", link: "hexapod-gateway console --link" };
 const AGAIN = "Stay near the robot: this page connects again by itself.";
 const ASK = "Ask the person who runs the robot.";
 /** Of a cause that has passed. @type {Record<string, string>} */
 const PAST = { is: "was", has: "had", does: "did", sends: "sent", accepts: "accepted" };
-/** What happened, what to do next, and what a person with a terminal does. @type {Record<Cause, [(end: End) => string, string, string?]>} */
+/** What happened, what to do next, and what a person with a terminal does. @type {Record<Cause, [(end: End) => string, string, (() => string)?]>} */
 const CAUSES = {
   connecting: [() => "this page is connecting", ""],
   offline: [() => "this device has no network", "Join the robot's Wi-Fi."],
-  lost: [() => "the connection to the console is lost", AGAIN, `Start again: ${CONSOLE}`],
+  lost: [() => "the connection to the console is lost", AGAIN, () => `Start again: ${COMMANDS.start}`],
   deaf: [() => "the console sends nothing", AGAIN],
-  closed: [() => "the console was closed", ASK, `Start again: ${CONSOLE}`],
+  closed: [() => "the console was closed", ASK, () => `Start again: ${COMMANDS.start}`],
   rejected: [() => "the console ended the connection", AGAIN],
-  signed_out: [() => "this page is not signed in", "Open a new link: ask the person who runs the console.", `Make a new link: ${CONSOLE} --link`],
+  signed_out: [() => "this page is not signed in", "Open a new link: ask the person who runs the console.", () => `Make a new link: ${COMMANDS.link}`],
   full: [() => "the network accepts nothing", AGAIN],
-  gone: [() => "the console has lost the gateway", ASK, "See why it ended: systemctl status hexapod-gateway"],
-  silent: [() => "the gateway sends nothing", ASK, "See its journal: journalctl -u hexapod-gateway"],
+  gone: [() => "the console has lost the gateway", ASK, () => "See why it ended: systemctl status hexapod-gateway"],
+  silent: [() => "the gateway sends nothing", ASK, () => "See its journal: journalctl -u hexapod-gateway"],
   old: [({ forMs }) => `the newest state is ${ago(forMs ?? 0)} old`, AGAIN],
   frozen: [({ forMs }) => `this page was frozen for ${ago(forMs ?? 0)}`, ""],
   page_silent: [({ forMs }) => `this page was hidden, locked or frozen for ${ago(forMs ?? 0)}, so its lease ended`, ""],
@@ -54,7 +54,7 @@ const CAUSES = {
 export function ended(end, terminal = HAS_TERMINAL) {
   const [line, next, typed] = CAUSES[end.cause];
   const reasons = (end.detail ?? "").split("\n").map((each) => (terminal ? each : each.split(" → ")[0]));
-  return { line: line(end), next: (terminal && typed) || next, reason: reasons.join("; ") };
+  return { line: line(end), next: (terminal && typed?.()) || next, reason: reasons.join("; ") };
 }
 
 /** A cause that has passed, without what was to be done about it. @param {string} why */

@@ -77,8 +77,15 @@ class Site:
     @property
     def link_command(self) -> str:
         """The command that prints a link for another browser, on the console's machine; of the service, as root."""
-        sudo = "sudo " if os.environ.get("STATE_DIRECTORY") == str(CONSOLE_STATE) else ""
-        return f"{sudo}{this_command()} console --link --listen {shlex.quote(with_port(self.address, self.port))}"
+        return ("sudo " if _is_service() else "") + self._command("--link ")
+
+    @property
+    def start_command(self) -> str:
+        """The command that starts it again, on the console's machine."""
+        return "sudo systemctl restart hexapod-console" if _is_service() else self._command()
+
+    def _command(self, option: str = "") -> str:
+        return f"{this_command()} console {option}--listen {shlex.quote(with_port(self.address, self.port))}"
 
     def knows_host(self, host: str | None) -> bool:
         """Return whether a Host header names this site. A tunnel leads to it from loopback at any port.
@@ -99,6 +106,10 @@ class Site:
         """Return whether an Origin header is of a page of this site, as reached by this Host."""
         schemes = (self.scheme, "https") if _split((host or "").lower())[0] in self.admitted else (self.scheme,)
         return origin in [f"{scheme}://{host}" for scheme in schemes]
+
+
+def _is_service() -> bool:
+    return os.environ.get("STATE_DIRECTORY") == str(CONSOLE_STATE)
 
 
 def with_port(host: str, port: int) -> str:
