@@ -15,15 +15,18 @@ from mcap.reader import make_reader
 from rosbags.typesys import Stores, get_typestore
 
 from gateway.geometry import load
-from gateway.people.recorder.drawing import JOINT_COMMANDS, LOG, SERVOS_OFF, SIM_JOINT_STATES, WORLD
+from gateway.people.recorder.drawing import CAMERAS, JOINT_COMMANDS, LOG, SERVOS_OFF, SIM_JOINT_STATES, WORLD
 from gateway.people.ros2.messages import SPHERE, MarkerArray
 
 TIMELINE: Final = "message_log_time"
 MARKS: Final = "/off"
 
 
-def blueprint(robot: str, *, is_simulated: bool) -> rrb.Blueprint:
-    """Where each part of a recording is shown. `robot`: its URDF's name, under which Rerun puts its links."""
+def blueprint(robot: str, cameras: list[str], *, is_simulated: bool) -> rrb.Blueprint:
+    """Where each part of a recording is shown.
+
+    `robot`: its URDF's name, under which Rerun puts its links. `cameras`: their topics.
+    """
     solid = f"/{robot}/visual_geometries"
     shown = rrb.Spatial3DView(
         name="The robot; red: servos that are off",
@@ -36,10 +39,11 @@ def blueprint(robot: str, *, is_simulated: bool) -> rrb.Blueprint:
     joints = [rrb.TimeSeriesView(name="Commands (rad); a gap: the servo is off", origin=f"{JOINT_COMMANDS}/position")]
     if is_simulated:
         joints.append(rrb.TimeSeriesView(name="Where the joints are", origin=f"{SIM_JOINT_STATES}/position"))
+    seen = [rrb.Spatial2DView(name=each, origin=each) for each in cameras]
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Vertical(shown, rrb.TextLogView(name="What happened", origin=LOG), row_shares=[3, 1]),
-            rrb.Vertical(*joints),
+            rrb.Vertical(*seen, *joints),
         ),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
@@ -83,7 +87,8 @@ def main() -> None:
     channels = summary.channels if summary else {}
     simulated = any(channels[number].topic == SIM_JOINT_STATES and count for number, count in counts.items())
     rr.init("hexapod")
-    view = blueprint(load(arguments.geometry).name, is_simulated=simulated)
+    cameras = [each.topic for each in channels.values() if each.topic.startswith(CAMERAS)]
+    view = blueprint(load(arguments.geometry).name, cameras, is_simulated=simulated)
     if arguments.save:
         rr.save(arguments.save, default_blueprint=view)
     else:

@@ -27,6 +27,7 @@ from gateway.people.recorder.drawing import DRAWN, FRAMES, JOINT_COMMANDS, JOINT
 from gateway.people.recorder.record import REPORTS
 from schemas.keys import EVENT, FRAME, SIM_BODY, STATE, TELEMETRY
 from schemas.telemetry import FrameRecord
+from tests.support.camera_server import CameraServer, jpeg
 from tests.support.child import Child
 from tests.support.fixtures import client_fixture, gateway_fixture
 from tests.support.gateway_process import COMMAND, Gateway
@@ -38,6 +39,7 @@ from tests.support.waiting import meanwhile
 from tests.unit.people.test_recordings import drawn_in, positions, recorded
 
 PATIENCE_S = 30
+EXAMPLES: Final = Path(__file__).parents[2] / "examples"
 
 
 # On a busy machine a setpoint may come late, but hardly by two seconds.
@@ -177,6 +179,33 @@ def test_all_that_the_gateway_publishes_is_in_the_file_and_as_the_files_own_sche
     again = gateway.run("record", str(path))
     assert again.returncode == 2
     assert "exists" in again.stderr
+
+
+def test_a_cameras_pictures_are_in_the_file_and_its_trouble_is_printed(gateway: Gateway, tmp_path: Path) -> None:
+    path, made = tmp_path / "ride.mcap", tmp_path / "ride.rrd"
+    with CameraServer() as front, CameraServer() as back:
+        back.answer = lambda handler: handler.send_error(404)
+        cameras = ("--camera", f"front={front.url}", "--camera", f"back={back.url}")
+        done = gateway.run("record", str(path), "--for", "3", *cameras)
+    assert done.returncode == 0, str(done)
+    assert "The camera back answers with HTTP status 404." in done.stderr
+    with AnyReader([path]) as reader:
+        shown = [each for each in reader.connections if each.topic == "/camera/front"]
+        read: list[Any] = [reader.deserialize(raw, each.msgtype) for each, _, raw in reader.messages(connections=shown)]
+        begun_ns, ended_ns = reader.start_time, reader.end_time
+        stamps = [time_ns for _, time_ns, _ in reader.messages(connections=shown)]
+    pictures = [each.data.tobytes() for each in read]
+    assert pictures == sorted(set(pictures)), "each once, in turn"
+    assert f" {len(pictures)} pictures, " in done.stdout
+    assert set(pictures) <= {jpeg(number) for number in range(1000)}
+    assert all(begun_ns <= each <= ended_ns for each in stamps)
+    example = EXAMPLES / "rerun_view.py"
+    subprocess.run([sys.executable, example, path, "--save", made], capture_output=True, check=True)
+    found = subprocess.run([RERUN, "rrd", "print", made], capture_output=True, text=True, check=True).stdout
+    assert "/camera/front - data columns" in found
+    again = gateway.run("record", str(path), "--camera", "nowhere")
+    assert again.returncode == 2
+    assert "--camera is no URL" in again.stderr
 
 
 @pytest.mark.full

@@ -34,7 +34,6 @@ from gateway.people.console.pages.page_messages import ROLES, Role, json_of, lea
 from gateway.people.console.pages.page_tasks import EndError, Stops, send_stopping
 from gateway.people.console.pages.pages import Page, Pages
 from gateway.people.console.server.auth import CAMERA, Auth
-from gateway.people.console.server.camera import MAX_CAMERAS, Camera, Picture, cameras
 from gateway.people.console.server.listener import MAX_CONNECTIONS, HttpListener, WebSocket
 from gateway.people.console.server.sessions import LINK_S, Entry, Sessions
 from gateway.people.console.server.site import LOCALHOST, Options, Site, listening
@@ -42,6 +41,7 @@ from gateway.people.terminal import hint, on_end_signals, say
 from gateway.people.walking.gaits import GAITS
 from gateway.people.walking.planning import lying_deg
 from gateway.people.walking.robot import Robot
+from gateway.people.watching.camera import MAX_CAMERAS, Camera, Picture, cameras
 from gateway.zenoh.config import client_config, get
 
 MAX_PAGES: Final = 64

@@ -35,6 +35,10 @@ def command(
     seconds: Annotated[
         float | None, typer.Option("--for", metavar="S", min=0, help="End after this many seconds.")
     ] = None,
+    camera: Annotated[
+        list[str] | None,
+        typer.Option(metavar="[NAME=]URL", help="Also record a camera's MJPEG stream. Repeatable."),
+    ] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite a file that exists.")] = False,
     geometry: OtherShapeOption = None,
     reach: Reach,
@@ -58,5 +62,6 @@ def command(
         geometry=geometry,
         overwrite=force,
         seconds=seconds,
+        cameras=camera or (),
     )
     sys.exit(ended)

@@ -63,6 +63,9 @@ DRAWN: Final[Mapping[str, type[Message]]] = {
     **{f"/{name}": kind for name, kind in robot.MEASURED.items()},
 }
 """Topic → the type of its messages."""
+CAMERAS: Final = "/camera/"
+"""The beginning of each camera's topic: pictures as CompressedImage. Viewers and `ros2 bag` read that of ROS 2; the one
+of Foxglove is protobuf, and rosbags opens no file that has it."""
 WORLD: Final = "world"
 COMMANDED: Final = "commanded/"
 BODY_NS: Final = 1_000_000_000
@@ -169,6 +172,11 @@ def log_line(level: int, sentence: str, time_ns: int) -> Message:
 
 
 # ---- as bytes
+
+
+def picture(topic: str, jpeg: bytes, taken_ns: int) -> Drawn:
+    """Return a camera's picture."""
+    return topic, ros.CompressedImage(ros.Header(robot.stamp(taken_ns), topic.strip("/")), "jpeg", memoryview(jpeg))
 
 
 def encode(message: Message) -> bytes:

@@ -7,8 +7,8 @@ import csv
 import json
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext, suppress
 from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -22,8 +22,18 @@ from gateway.errors import AddressTakenError, ConfigError, GatewayError
 from gateway.geometry import Geometry, load
 from gateway.people.client.subscriptions import States, subscribed
 from gateway.people.commands.reach import Connection
-from gateway.people.recorder.drawing import DESCRIPTION, DRAWN, LOG, Drawing, definition, encode, log_line
-from gateway.people.ros2.messages import LOG_WARN, Message
+from gateway.people.recorder.drawing import (
+    CAMERAS,
+    DESCRIPTION,
+    DRAWN,
+    LOG,
+    Drawing,
+    definition,
+    encode,
+    log_line,
+    picture,
+)
+from gateway.people.ros2.messages import LOG_WARN, CompressedImage, Message
 from gateway.people.terminal import clear_line, hint, on_end_signals, say, show_line
 from gateway.people.watching.live import is_of_physics
 from gateway.words.own_command import install
@@ -38,6 +48,9 @@ try:
     from foxglove.mcap import MCAPWriteOptions
     from foxglove.websocket import ChannelView, ServerListener
     from foxglove.websocket import Client as Viewer
+
+    from gateway.people.recorder.pictures import fetched
+    from gateway.people.watching.camera import cameras as named
 except ImportError as error:
     raise ConfigError(f"to record, type: {install('record')}") from error
 
@@ -63,13 +76,14 @@ configuration."""
 class Recording(ServerListener):
     """Logs to the sinks that were opened. Times are nanoseconds since 1970."""
 
-    def __init__(self, geometry: Geometry) -> None:
+    def __init__(self, geometry: Geometry, cameras: Iterable[str] = ()) -> None:
+        """`cameras`: their names."""
         self.drawing = Drawing(geometry)
         self._context = foxglove.Context()
         # `foxglove.Channel` gives JSON a schema, and rosbags 0.11 opens no file that has one.
         create = self._context._create_channel
         self._channels = {key: create(key, message_encoding="json") for key in REPORTS}
-        for topic, kind in DRAWN.items():
+        for topic, kind in (*DRAWN.items(), *((f"{CAMERAS}{each}", CompressedImage) for each in cameras)):
             schema = foxglove.Schema(name=kind.TYPE, encoding="ros2msg", data=definition(kind).encode())
             self._channels[topic] = create(topic, message_encoding="cdr", schema=schema)
         self._asked = False  # a new viewer, for the robot's description
@@ -180,6 +194,8 @@ _SILENT_S: Final = 1.0
 """A gateway publishes its state ten times a second."""
 MOST_WAITING: Final = 100_000
 """Reports that wait for the disk: minutes of frames. More are dropped and counted, before memory runs out."""
+MOST_BEFORE_A_PICTURE: Final = 100
+"""Pictures are dropped behind more than these: some 50 MB of them."""
 
 _NAMES: Final = {STATE: "states", EVENT: "events", FRAME: "frames"}
 
@@ -226,12 +242,21 @@ class ReportQueue:
         else:
             self._waiting.put((key, payload, self.now_ns()))
 
+    def put_picture(self, camera: str, jpeg: bytes, taken_ns: int) -> None:
+        """Queue a camera's picture, or count it as dropped. `taken_ns`: monotonic. For any thread."""
+        if self._waiting.qsize() >= MOST_BEFORE_A_PICTURE:
+            self.dropped += 1
+        else:
+            self._waiting.put((f"{CAMERAS}{camera}", jpeg, taken_ns + self._since_1970_ns))
+
     def end(self) -> None:
         """Make `get` return None after all earlier entries. May be called in a signal handler."""
         self._waiting.put(None)
 
-    def get(self, timeout_s: float) -> tuple[str, dict[str, Any], int] | None:
+    def get(self, timeout_s: float) -> tuple[str, Any, int] | None:
         """Return the next entry's key, report and arrival (ns since 1970); None: the queue has ended.
+
+        Of a picture: its topic, the JPEG, and when it was taken.
 
         Raises queue.Empty if no entry arrives within `timeout_s`, if the entry is invalid, or if it is a state whose
         configuration is unknown.
@@ -240,6 +265,8 @@ class ReportQueue:
         if found is None:
             return None
         key, payload, time_ns = found
+        if key.startswith(CAMERAS):
+            return found
         try:
             if key != STATE:
                 REPORTS[key].model_validate_json(payload)
@@ -267,9 +294,14 @@ def record(
     geometry: Path | None,
     overwrite: bool,
     seconds: float | None,
+    cameras: Sequence[str] = (),
 ) -> int:
-    """Record until a signal, or for `seconds`. Returns the exit code. Raises AddressTakenError, ConfigError."""
-    recording = Recording(load(geometry))
+    """Record until a signal, or for `seconds`. Returns the exit code. Raises AddressTakenError, ConfigError.
+
+    `cameras`: each `URL` or `NAME=URL` of an MJPEG stream.
+    """
+    found = named(cameras)
+    recording = Recording(load(geometry), found)
     with connect() as client:
         state = client.state()
         port = None if live_port is None else recording.serve(live_port)
@@ -282,7 +314,8 @@ def record(
             reports.put(CALIBRATION, client.calibration().model_dump_json().encode())
         if client.states.config is not None:
             reports.put(CONFIG, client.states.config.model_dump_json().encode())
-        with reports.receives(client.session), on_end_signals(reports.end):
+        pictures = fetched(found, reports.put_picture) if found else nullcontext()
+        with reports.receives(client.session), on_end_signals(reports.end), pictures:
             if path is not None and state.telemetry.frames is False:
                 hint(
                     "The gateway publishes no frames, so the recording will have none: set telemetry.frames = true in "
@@ -355,7 +388,11 @@ class _Recorder:
                     return
                 self._write(*received)
 
-    def _write(self, key: str, report: dict[str, Any], time_ns: int) -> None:
+    def _write(self, key: str, report: Any, time_ns: int) -> None:
+        if isinstance(report, bytes):
+            self._counts[CAMERAS] += 1
+            self._recording.draw([picture(key, report, time_ns)], time_ns)
+            return
         self._received_s = time.monotonic()
         self._counts[key] += 1
         if self._silent:
@@ -370,5 +407,6 @@ class _Recorder:
 
     def _summary(self) -> str:
         counts = ", ".join(f"{self._counts[key]} {name}" for key, name in _NAMES.items())
+        counts += f", {self._counts[CAMERAS]} pictures" if self._counts[CAMERAS] else ""
         size = f", {self._path.stat().st_size / 1e6:.1f} MB" if self._path and self._path.exists() else ""
         return f"{time.monotonic() - self._begun_s:.1f} s, {counts}{size}"

@@ -58,6 +58,7 @@ TransformStamped: Final = message_type("geometry_msgs/msg/TransformStamped", "he
 TFMessage: Final = message_type("tf2_msgs/msg/TFMessage", "transforms")
 
 JointState: Final = message_type("sensor_msgs/msg/JointState", "header name position")
+CompressedImage: Final = message_type("sensor_msgs/msg/CompressedImage", "header format data")
 Temperature: Final = message_type("sensor_msgs/msg/Temperature", "header temperature")
 BatteryState: Final = message_type(
     "sensor_msgs/msg/BatteryState",

@@ -10,8 +10,8 @@ import pytest
 
 from gateway.errors import ConfigError
 from gateway.people.console.pages.page_camera import PageCamera
-from gateway.people.console.server import camera
-from gateway.people.console.server.camera import MAX_JPEG_BYTES, Ages, Camera, CameraError, Mjpeg, cameras
+from gateway.people.watching import camera
+from gateway.people.watching.camera import MAX_JPEG_BYTES, Ages, Camera, CameraError, Mjpeg, cameras
 from tests.support.camera_server import BOUNDARY, CameraServer, begin, jpeg, part
 
 S: Final = 1_000_000_000
