@@ -1,7 +1,7 @@
 """`hexapod-gateway incidents`: list, explain and export the incidents in the black box."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
@@ -10,13 +10,14 @@ import typer
 
 from gateway.errors import ConfigError, GatewayError
 from gateway.model.black_box import RING_FILE
+from gateway.onboard.replay import as_test, change_of, journal_of, play, seconds, supervisor_of, told
 from gateway.people.incidents import ring_reader
-from gateway.people.incidents.export import write
+from gateway.people.incidents.export import new_file, write
 from gateway.people.incidents.find import Incident, find, time_of
 from gateway.people.incidents.messages import messages
 from gateway.people.incidents.ring_reader import Records
 from gateway.people.incidents.story import headline, story
-from gateway.people.terminal import say
+from gateway.people.terminal import hint, say
 from gateway.robot.blackbox import ring as rings
 from gateway.robot.settings import Settings
 from gateway.words.own_command import this_command
@@ -65,6 +66,43 @@ def export(settings: Settings, name: str, file: Path) -> None:
         incident, records = _one(settings, name)
         write(file, incident, records)
     say(f"{incident.name} is in {file}")
+
+
+def replay(
+    settings: Settings,
+    name: str,
+    *,
+    until: str | None = None,
+    changes: Sequence[str] = (),
+    file: Path | None = None,
+    as_json: bool = False,
+) -> bool:
+    """Decide the incident `name` again, and print what decided. Return whether the frames are those written.
+
+    `until`: seconds after the incident; `changes`: other settings, as NAME=VALUE; `file`: a new test. Raises as `show`
+    does, and ConfigError if not all of it can be played.
+    """
+    with _forged(settings):
+        incident, records = _one(settings, name)
+        title = f"{incident.name}: {headline(messages(incident, records))}"
+        until_ns = incident.end_ns if until is None else incident.zero_ns + seconds(until)
+        change = change_of(records.about_at(incident.zero_ns), changes)
+        journal = journal_of(records, incident, until_ns)
+        played = play(journal, incident.zero_ns, change)
+    if as_json:
+        rows = [line._asdict() for line in played.lines]
+        found = {"id": incident.name, "same": played.same, "frames": played.frames, "result": played.result}
+        typer.echo(json.dumps({**found, "problem": played.problem, "timeline": rows}, indent=1, ensure_ascii=False))
+    else:
+        for text in (title, *told(played.lines), played.result):
+            say(text)
+    if file is not None:
+        with new_file(file) as opened:
+            opened.write(as_test(incident, title, supervisor_of(journal, change), played.decided).encode())
+        hint(f"{incident.name} is in {file}")
+    if played.problem:
+        raise ConfigError(f"{incident.name} is not played to its end: {played.problem}")
+    return played.same
 
 
 @contextmanager

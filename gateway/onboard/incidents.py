@@ -1,4 +1,4 @@
-"""The command line of the black box: `incidents list`, `show`, `export`."""
+"""The command line of the black box: `incidents list`, `show`, `export`, `replay`."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -65,3 +65,27 @@ def export(
     from gateway.onboard import black_box
 
     black_box.export(_settings(context, config), incident, file)
+
+
+@app.command()
+def replay(
+    context: typer.Context,
+    incident: IncidentArgument,
+    config: ConfigOption = None,
+    until: Annotated[
+        str | None, typer.Option(metavar="TIME", help="End at this time, in seconds after the incident: 0.25 or -1.5.")
+    ] = None,
+    settings: Annotated[
+        list[str], typer.Option("--set", metavar="NAME=VALUE", help="Decide with another setting. Repeatable.")
+    ] = [],  # noqa: B006  (typer's way)
+    as_test: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write a test that decides the same, to this new file.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Decide an incident again: which rule led to which frames. Ends with 1 if other frames were written."""
+    from gateway.onboard import black_box
+
+    found = _settings(context, config)
+    if not black_box.replay(found, incident, until=until, changes=settings, file=as_test, as_json=as_json):
+        raise typer.Exit(1)

@@ -4,8 +4,8 @@ What viewers draw is in it where the extra `record` is installed.
 """
 
 import json
-from collections.abc import Iterable
-from contextlib import suppress
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
@@ -21,12 +21,13 @@ from gateway.people.recorder.drawing import INSTALLED, Drawing, definition, enco
 from gateway.people.ros2.messages import Message
 
 
-def write(path: Path, incident: Incident, records: Records) -> None:
-    """Write an incident to a new file. Raises ConfigError if it exists or cannot be written."""
+@contextmanager
+def new_file(path: Path) -> Iterator[BinaryIO]:
+    """Open a file that does not exist yet, and remove it if the `with` fails. Raises ConfigError."""
     try:
         with path.open("xb") as file:
             try:
-                _write(file, incident, records)
+                yield file
                 file.flush()
             except BaseException:  # half of it is of no use, and its name would be taken
                 with suppress(OSError):
@@ -36,6 +37,12 @@ def write(path: Path, incident: Incident, records: Records) -> None:
         raise ConfigError(f"{path} exists; name another file") from error
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written ({error.strerror})") from error
+
+
+def write(path: Path, incident: Incident, records: Records) -> None:
+    """Write an incident to a new file. Raises ConfigError if it exists or cannot be written."""
+    with new_file(path) as file:
+        _write(file, incident, records)
 
 
 def _write(file: BinaryIO, incident: Incident, records: Records) -> None:

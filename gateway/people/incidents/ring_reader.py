@@ -51,7 +51,7 @@ class Start(NamedTuple):
 class CommandRecord(NamedTuple):
     """A decoded command; the record's time is its arrival. A Decision with its number follows (0: none does).
 
-    Its step of the core came `after_ns` later (NO_STEP: the record of a Step has it, or there was none), `waited_ns`
+    Its step of the core came `after_ns` later (NO_STEP: a StepRecord has it, or there was none), `waited_ns`
     after its instant had begun. `lease`: the number of its token, 0: none.
     """
 
@@ -67,7 +67,7 @@ class CommandRecord(NamedTuple):
     lease: int = 0
 
 
-class Step(NamedTuple):
+class StepRecord(NamedTuple):
     """An event of the core, as `robot.blackbox.journal` writes it; the record's time is that of its step."""
 
     instant_ns: int
@@ -142,7 +142,7 @@ class About(NamedTuple):
 Content = (
     Start
     | CommandRecord
-    | Step
+    | StepRecord
     | Keyframe
     | Gap
     | Decision
@@ -319,11 +319,11 @@ def _sender(rest: bytes) -> tuple[str, str, str | None, str | None]:
     return verb, keys[0] if keys else form.KEYS[number], source or source_id or None, source_id or None
 
 
-def _step(rest: bytes) -> Step:
+def _step(rest: bytes) -> StepRecord:
     event = from_json(rest[form.STEP_HEAD.size :])
     if not isinstance(event, dict):
         raise TypeError("an event is an object")
-    return Step(form.STEP_HEAD.unpack_from(rest)[0], event)
+    return StepRecord(form.STEP_HEAD.unpack_from(rest)[0], event)
 
 
 def _decision(rest: bytes) -> Decision:

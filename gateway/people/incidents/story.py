@@ -84,9 +84,9 @@ def story(messages: list[RecordedMessage]) -> list[str]:
     lines += _happened((each for each in reported if each.topic != RECORDER), name)
     lines += [*_stops(frames), *_happened(notes, name), *_landings(reported, frames), *_measured(reported)]
     lines.sort(key=lambda line: line.at_ns)
-    width = max((len(_at(line.at_ns)) for line in lines), default=0)
+    width = max((len(relative_time(line.at_ns)) for line in lines), default=0)
     head = f"{name}: {headline(messages)}, at {zero.content.get('time')}"
-    timed = (f"{_at(line.at_ns):>{width}}  {line.text}" for line in lines)
+    timed = (f"{relative_time(line.at_ns):>{width}}  {line.text}" for line in lines)
     return [visible(line) for line in (head, *_summary(reported), *timed)]
 
 
@@ -141,7 +141,7 @@ def _stood_still(notes: Sequence[RecordedMessage], moved_ns: Sequence[int], zero
     return ""
 
 
-def _at(at_ns: int) -> str:
+def relative_time(at_ns: int) -> str:
     """Return a time relative to the stop, such as +0.3 ms or -0.251 s."""
     sign = "−" if at_ns < 0 else "+" if at_ns else ""
     at_ms = abs(at_ns) / 1e6
@@ -242,7 +242,7 @@ def _rejections(messages: list[RecordedMessage]) -> Iterator[Line]:
     for (who, reason, _), times_ns in runs.items():
         text = f"a command of {who} is rejected: {reason}"
         if len(times_ns) > 1:
-            text = f"{len(times_ns)} commands of {who} are rejected until {_at(times_ns[-1])}: {reason}"
+            text = f"{len(times_ns)} commands of {who} are rejected until {relative_time(times_ns[-1])}: {reason}"
         yield Line(times_ns[0], text)
 
 
@@ -298,7 +298,7 @@ def _stops_in_one_line(group: Sequence[FrameIn]) -> Line:
     legs = sorted({frame.leg for _, frame in group})
     cause = str(first.content.get("cause"))
     written = "Stop repeated for" if cause == Cause.REPEAT else "Stop written to"
-    until = "" if len(group) == 1 else f", the last at {_at(last.time_ns)}"
+    until = "" if len(group) == 1 else f", the last at {relative_time(last.time_ns)}"
     late = first.content.get("late_us")
     after = "" if late is None else f", {late:.0f} µs after the deadline"
     why = "" if cause == Cause.REPEAT else f" ({cause})"

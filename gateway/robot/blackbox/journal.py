@@ -18,7 +18,7 @@ A callable is null. A token is a keyed hash of itself, so that the journal shows
 
 import sys
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from copy import copy
 from dataclasses import MISSING, fields, is_dataclass
 from enum import Enum
@@ -34,7 +34,7 @@ from pydantic_core import from_json, to_json
 from gateway.model.angle_limits import AngleLimits
 from gateway.model.calibration import RobotCalibration
 from gateway.model.frames import OP_START, OP_STOP, SETS, STARTS, STOP, ServoOp
-from gateway.robot.core.events import Command, Event, Request, targets_by_leg
+from gateway.robot.core.events import Command, Effect, Event, Request, batches, targets_by_leg
 from gateway.robot.core.rules import Rules
 from gateway.robot.core.supervisor import ALL_EVENTS, Supervisor
 
@@ -72,12 +72,16 @@ def token_text(number: int) -> str:
     return f"{number:08x}"
 
 
+Mask = Callable[[Any], Any]
+
+
 # ---- values as JSON
 
 
-def _masked(value: Any) -> Any:
+def masked(value: Any) -> Any:
+    """Return the content of a field of SECRETS with each token replaced."""
     if isinstance(value, dict):
-        return {_masked(key): each for key, each in value.items()}
+        return {masked(key): each for key, each in value.items()}
     return token_text(token_number(value)) if value else value
 
 
@@ -102,9 +106,10 @@ def _written_of(kind: Any) -> tuple[list[tuple[str, Any]], Callable[[Any], tuple
 
 
 class _Writer:
-    """Writes one text's values, and counts what occurs more than once."""
+    """Writes one text's values, and counts what occurs more than once. `mask` replaces tokens."""
 
-    def __init__(self) -> None:
+    def __init__(self, mask: Mask) -> None:
+        self._mask = mask
         self._shared: dict[int, int] = {}
 
     def plain(self, value: Any) -> Any:
@@ -130,7 +135,7 @@ class _Writer:
         kind: Any = type(value)
         written, values_of = _written_of(kind)
         return {
-            name: self.plain(_masked(each) if name in SECRETS else each)
+            name: self.plain(self._mask(each) if name in SECRETS else each)
             for (name, default), each in zip(written, values_of(value), strict=False)
             if each is not default and each != default
         }
@@ -190,9 +195,9 @@ def _classes() -> Mapping[str, type]:
     return {name: each for name, each in found.items() if issubclass(each, kinds) or is_dataclass(each)}
 
 
-def plain_event(event: Event) -> Any:
+def plain_event(event: Event, mask: Mask = masked) -> Any:
     """Return an event, also after its step, as JSON's types. Tokens are replaced."""
-    (content,) = (plain := _Writer().plain(event)).values()
+    (content,) = (plain := _Writer(mask).plain(event)).values()
     for name in _CHANGING if type(event) is Command else ():
         content.pop(name, None)
     return plain
@@ -204,6 +209,11 @@ def event_of(plain: Any) -> Event:
     if type(found) not in ALL_EVENTS:
         raise JournalError(f"it has a {type(found).__name__} in place of an event")
     return found
+
+
+def frames_of(effects: Iterable[Effect]) -> list[str]:
+    """Return the frames of a step in hexadecimal, as they leave."""
+    return [each.frame.data.hex() for batch in batches(effects) for each in batch]
 
 
 # ---- keyframes
@@ -251,9 +261,10 @@ def _parts(root: Any) -> Iterator[tuple[str, Any, list[str]]]:
 class Keyframes:
     """Takes keyframes of one supervisor."""
 
-    def __init__(self, supervisor: Supervisor) -> None:
+    def __init__(self, supervisor: Supervisor, mask: Mask = masked) -> None:
+        self._mask = mask
         rules = vars(supervisor)["_rules"]
-        self._head = {"format": FORMAT, "rules": _Writer().plain(rules)}
+        self._head = {"format": FORMAT, "rules": _Writer(mask).plain(rules)}
         live = {path: part for path, part, _ in _parts(supervisor)}
         self._parts = []
         for path, part, names in _parts(Supervisor(rules)):
@@ -263,12 +274,12 @@ class Keyframes:
 
     def take(self) -> bytes:
         """Return the state between two steps, as JSON."""
-        writer, state = _Writer(), dict[str, dict[str, Any]]()
+        writer, state = _Writer(self._mask), dict[str, dict[str, Any]]()
         for path, part, names, values_of, at_start in self._parts:
             values = values_of(part)
             if values != at_start:
                 state[path] = {
-                    name: writer.plain(_masked(value) if name in SECRETS else value)
+                    name: writer.plain(self._mask(value) if name in SECRETS else value)
                     for name, value, before in zip(names, values, at_start, strict=True)
                     if value != before
                 }

@@ -311,7 +311,7 @@ class Recorder:
             self.step(taken, (), ())
 
     def _admit(self, sender: Request | EmergencyStop | LeaseRequest | ButtonRequest, count: int, now_ns: int) -> bool:
-        """Return whether a step with so many records may be written. If not, the journal has a gap."""
+        """Return whether a step with `count` records may be written. If not, the journal has a gap."""
         admitted = self._shares.admit(sender.source, count, now_ns)
         if not admitted and not self._gap:
             self._gap = True

@@ -16,7 +16,7 @@ from schemas.telemetry import Cause, Kind, Reason
 Targets = tuple[tuple[int, ServoOp], ...]
 """Operations for servos, by their ids."""
 
-_GET: Final = Verb.GET  # see `frames.OP_STOP`
+_GET, _REPEAT = Verb.GET, Cause.REPEAT  # see `frames.OP_STOP`
 
 Sender = tuple[str | None, str | None]
 """Who sent a request: a name, and the Zenoh id of the session. Two requests are of one sender if both are equal: a
@@ -394,6 +394,22 @@ class ClearErrors:
 
 
 Effect = Transmit | Completed | Rejected | Announce | RequestAnswer | SaveCalibration | Cut | Feed | ClearErrors
+
+
+def batches(effects: Iterable[Effect]) -> tuple[list[Transmit], list[Transmit], list[Transmit]]:
+    """Return a step's frames as they leave, each batch in one call: first Stops, repeated Stops, moves.
+
+    Repeated Stops have a preamble, for which a first Stop must not wait. The repeats for legs at rest join the first
+    batch, after its own Stops.
+    """
+    first: list[Transmit] = []
+    repeated: list[Transmit] = []
+    moves: list[Transmit] = []
+    for effect in effects:
+        if type(effect) is Transmit:
+            stops = repeated if effect.cause is _REPEAT and not effect.joins else first
+            (stops if effect.frame.is_stop else moves).append(effect)
+    return first, repeated, moves
 
 
 # ---- the outcome of a step's requests

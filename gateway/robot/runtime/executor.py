@@ -20,6 +20,7 @@ from gateway.robot.core.events import (
     Sender,
     Transmit,
     Verdict,
+    batches,
     results,
 )
 from gateway.robot.core.legs import moves_of
@@ -33,7 +34,7 @@ from schemas.telemetry import Ack, Cause, Kind, Reason
 
 logger = logging.getLogger(__name__)
 
-_COMMAND, _REPEAT, _LEGS_STOPPED = Cause.COMMAND, Cause.REPEAT, Kind.LEGS_STOPPED
+_COMMAND, _LEGS_STOPPED = Cause.COMMAND, Kind.LEGS_STOPPED
 """Read for each effect; see `frames.OP_STOP`."""
 
 
@@ -210,19 +211,9 @@ class Executor:
             self._end(*result)
 
     def _write(self, effects: Sequence[Effect]) -> Outcome:
-        """Write a step's frames in three batches: first Stops, repeated Stops, moves. Stop at the first fault.
-
-        Repeated Stops have a preamble, for which a first Stop must not wait. The repeats for legs at rest join the
-        first batch, after its own Stops.
-        """
+        """Write a step's frames. Stop at the first fault."""
         outcome = Outcome(effects)
-        first: list[Transmit] = []
-        repeated: list[Transmit] = []
-        moves: list[Transmit] = []
-        for effect in effects:
-            if type(effect) is Transmit:
-                stops = repeated if effect.cause is _REPEAT and not effect.joins else first
-                (stops if effect.frame.is_stop else moves).append(effect)
+        first, repeated, moves = batches(effects)
         for batch in first, repeated, moves:
             if batch and outcome.fault is None:
                 report = self.bus.write([transmit.frame for transmit in batch], preamble=batch is repeated)

@@ -140,8 +140,8 @@ async def test_a_setpoint_is_one_record(folder: Path, framing: Framing) -> None:
     for angle in (0.01, 90, 180):
         await asyncio.sleep(0.1)
         robot.put(LEG_3, leg("set", angle, 46, 120, source="anna"), received_ns=robot.now_ns() - 3)
-    records = [each for each in rec.read(folder / RING_FILE) if not isinstance(each.content, rec.Step)]
-    records = records[sum(not isinstance(each.content, rec.Step) for each in before) :]
+    records = [each for each in rec.read(folder / RING_FILE) if not isinstance(each.content, rec.StepRecord)]
+    records = records[sum(not isinstance(each.content, rec.StepRecord) for each in before) :]
     kinds = [type(record.content) for record in records if not isinstance(record.content, rec.WallTime)]
     assert kinds == [rec.CommandRecord, rec.FrameWritten] * 3
     assert len({record.sequence for record in records if not isinstance(record.content, rec.WallTime)}) == 3
@@ -188,7 +188,7 @@ async def test_what_does_not_fit_into_one_record_has_two(folder: Path) -> None:
     robot.put(LEG_3, long)
     robot.put(keys.servo_command(41), {"op": "start", "angle_deg": 12.34}, received_ns=0)
     robot.put(keys.leg_command(5), START, received_ns=robot.now_ns() - 5_000_000_000)
-    found = [each for each in contents(folder)[before:] if not isinstance(each, rec.Noted | rec.Step)]
+    found = [each for each in contents(folder)[before:] if not isinstance(each, rec.Noted | rec.StepRecord)]
     assert [type(each) for each in found] == [rec.CommandRecord, rec.FrameWritten] * 3
     assert found[0].source == "ä" * 64
     assert [frame.number for frame in found[1::2]] == [1, 2, 3]
