@@ -7,7 +7,7 @@ from typing import Any, Final, Generic, NamedTuple, TypeVar
 
 from gateway.rate_limit import NS_PER_MS
 from gateway.robot.core.events import Announce, Calibrate, Command, Effect, Event, Reset
-from gateway.robot.core.legs import Legs
+from gateway.robot.core.legs import Halt, Legs
 from gateway.robot.core.rules import Rules
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Reason
@@ -18,14 +18,6 @@ Why = tuple[Reason, str]
 ALL_LEGS: Final = tuple(LEGS)
 Own = TypeVar("Own")
 """The events that an interlock takes."""
-
-
-class Halt(NamedTuple):
-    """Stop all six legs at once, and reject waiting commands."""
-
-    cause: Cause
-    reason: Reason
-    detail: str
 
 
 class Down(NamedTuple):
@@ -65,7 +57,7 @@ class Interlock(Generic[Own]):
         return []
 
     def halts(self, event: Own) -> Halt | None:  # noqa: ARG002
-        """Return the Halt that precedes `take` of this event, or None. A Halt voids due deadlines."""
+        """Return the Halt of all six legs that precedes `take` of this event, or None. It voids due deadlines."""
         return None
 
     def take(self, event: Own, now_ns: int) -> list[Effect]:
@@ -88,9 +80,8 @@ class Interlock(Generic[Own]):
             return []
         why, since_ns = self.down
         since_ns = now_ns if since_ns is None else since_ns
-        return self._land(why, since_ns, now_ns) or self._legs.stop(
-            dict.fromkeys(self._legs.by_number, since_ns), Cause.WATCHDOG, now_ns, *self.objection
-        )
+        due, halt = dict.fromkeys(self._legs.by_number, since_ns), Halt(Cause.WATCHDOG, *self.objection)
+        return self._land(why, since_ns, now_ns) or self._legs.stop(due, halt, now_ns)
 
     def _land(self, why: str, since_ns: int, now_ns: int) -> list[Effect]:
         """Begin a landing that counts from `since_ns` if a servo runs and time is left. Return its effects, or []."""

@@ -4,8 +4,8 @@ from typing import Final
 
 from gateway.rate_limit import NS_PER_S
 from gateway.robot.core.events import Announce, Completed, Effect, EmergencyStop, EstopKept, Rejected, Reset
-from gateway.robot.core.interlock import Halt, Interlock
-from gateway.robot.core.legs import Legs
+from gateway.robot.core.interlock import Interlock
+from gateway.robot.core.legs import Halt, Legs
 from gateway.robot.core.rules import Rules
 from schemas.telemetry import Cause, Kind, Reason
 

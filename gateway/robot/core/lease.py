@@ -18,8 +18,8 @@ from typing import Any, Final
 
 from gateway.rate_limit import NS_PER_MS
 from gateway.robot.core.events import Announce, Calibrate, Command, Effect, LeaseRequest, RequestAnswer, Reset
-from gateway.robot.core.interlock import Halt, Interlock, Why
-from gateway.robot.core.legs import Legs
+from gateway.robot.core.interlock import Interlock, Why
+from gateway.robot.core.legs import Halt, Legs
 from gateway.robot.core.rules import Rules
 from schemas import keys
 from schemas.telemetry import Cause, Kind, Reason

@@ -6,7 +6,7 @@ moves a servo in `pace.py`, *which Stops are owed* in `stops.py`. A servo's own 
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Final
+from typing import Final, NamedTuple
 
 from gateway.model.angle_limits import AngleLimits
 from gateway.model.frames import OP_STOP, SETS, STOP, Frame, ServoOp, frame_of
@@ -40,6 +40,14 @@ _PARTLY: Final = (
     f"{LEGS_COMMAND}"
 )
 _MIXED: Final = "this robot only stops as a whole: a Stop in this command stopped it, and its moves are dropped"
+
+
+class Halt(NamedTuple):
+    """Stops at once, by which waiting commands are rejected."""
+
+    cause: Cause
+    reason: Reason
+    detail: str
 
 
 class Legs:
@@ -351,18 +359,10 @@ class Legs:
     # ---- Stops
 
     def stop(
-        self,
-        deadlines_ns: Mapping[int, int | None],
-        cause: Cause,
-        now_ns: int,
-        reason: Reason,
-        detail: str,
-        sender: Sender = NOBODY,
+        self, deadlines_ns: Mapping[int, int | None], halt: Halt, now_ns: int, sender: Sender = NOBODY
     ) -> list[Effect]:
-        """Stop legs. `deadlines_ns` has when each leg's Stop was due, `sender` who asked for it, if anybody did.
-
-        Commands that wait for these legs are rejected with `reason` and `detail`.
-        """
+        """Stop legs, and reject what waits for them. `deadlines_ns` has when each Stop was due; `sender` asked."""
+        cause, reason, detail = halt
         legs = [self.by_number[number] for number in deadlines_ns]
         transmits = [
             stop for leg in legs for stop in stops(leg, leg.servos, cause, deadline_ns=deadlines_ns[leg.number])

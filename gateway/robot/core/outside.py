@@ -6,7 +6,8 @@ Until its end is known, no Start or Set is accepted, since a later Stop of `stop
 from typing import Final
 
 from gateway.robot.core.events import Announce, Calibrate, Command, Effect, StoppedOutside
-from gateway.robot.core.interlock import Halt, Interlock
+from gateway.robot.core.interlock import Interlock
+from gateway.robot.core.legs import Halt
 from schemas.telemetry import Cause, Kind, Reason
 
 _OUTSIDE: Final = "stop-servos stops all servos past the gateway; start them once it has ended"

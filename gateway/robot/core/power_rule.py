@@ -14,8 +14,8 @@ from typing import Any, Final
 
 from gateway.model.frames import legs_of
 from gateway.robot.core.events import Announce, ClearErrors, Cut, Effect, Feed, PowerSeen
-from gateway.robot.core.interlock import ALL_LEGS, Down, Halt, Interlock, Why
-from gateway.robot.core.legs import Legs
+from gateway.robot.core.interlock import ALL_LEGS, Down, Interlock, Why
+from gateway.robot.core.legs import Halt, Legs
 from gateway.robot.core.rules import Rules
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Cause, Kind, Mode, Reason
@@ -116,7 +116,7 @@ class PowerRule(Interlock[PowerSeen]):
         """Stop these legs, or all six if the robot only stops as a whole."""
         legs = self._legs
         due = dict.fromkeys(legs.by_number if unfed and self._rules.stops_whole else sorted(unfed))
-        return legs.stop(due, Cause.WATCHDOG, now_ns, Reason.NO_POWER, detail) if due else []
+        return legs.stop(due, Halt(Cause.WATCHDOG, Reason.NO_POWER, detail), now_ns) if due else []
 
     # ---- what is powered
 

@@ -66,10 +66,10 @@ from gateway.robot.core.events import (
     Transmit,
 )
 from gateway.robot.core.gates import NEVER
-from gateway.robot.core.interlock import Barred, Halt, Interlock, Why
+from gateway.robot.core.interlock import Barred, Interlock, Why
 from gateway.robot.core.latch import ESTOPPED, Latch
 from gateway.robot.core.lease import RobotLease
-from gateway.robot.core.legs import Legs, moves_of
+from gateway.robot.core.legs import Halt, Legs, moves_of
 from gateway.robot.core.outside import Outside
 from gateway.robot.core.power_rule import PowerRule
 from gateway.robot.core.rules import Rules
@@ -372,14 +372,13 @@ class Supervisor:
         announcement = Announce(Kind.STOPPING, "the gateway ends", done=done)
         return [*self._stop_all(Halt(Cause.SHUTDOWN, Reason.STOPPING, _STOPPING), now_ns), announcement]
 
-    def _stop_all(
-        self, halt: Halt, now_ns: int, sender: Sender = NOBODY
-    ) -> list[Effect]:  # mutants accepted (Forget): done twice on purpose
-        legs, (cause, reason, detail) = self.legs, halt
+    # mutants accepted (Forget): done twice on purpose
+    def _stop_all(self, halt: Halt, now_ns: int, sender: Sender = NOBODY) -> list[Effect]:
+        legs = self.legs
         legs.landing_ends_ns = None  # a Stop of all legs ends a landing
         if not legs.sends:
-            return legs.drop(legs.servos.values(), reason, detail)
-        return legs.stop(dict.fromkeys(legs.by_number), cause, now_ns, reason, detail, sender)
+            return legs.drop(legs.servos.values(), halt.reason, halt.detail)
+        return legs.stop(dict.fromkeys(legs.by_number), halt, now_ns, sender)
 
 
 def _sender(event: Event) -> Sender:

@@ -13,7 +13,7 @@ from typing import Final, Never
 from gateway.rate_limit import NS_PER_MS
 from gateway.robot.core.events import Announce, Calibrate, Command, Effect
 from gateway.robot.core.interlock import ALL_LEGS, Interlock
-from gateway.robot.core.legs import Legs
+from gateway.robot.core.legs import Halt, Legs
 from gateway.robot.core.rules import Rules
 from schemas.telemetry import Cause, Kind, Reason
 
@@ -39,12 +39,9 @@ class Watchdog(Interlock[Never]):
                 return []
             due = dict.fromkeys(legs.by_number, legs.landing_ends_ns)
             legs.landing_ends_ns = None
-            return [
-                *self._stop(due, now_ns, *self.objection),
-                Announce(
-                    Kind.WATCHDOG_EXPIRED, "the landing has ended", legs=ALL_LEGS, done="all six legs are stopped"
-                ),
-            ]
+            done = "all six legs are stopped"
+            ended = Announce(Kind.WATCHDOG_EXPIRED, "the landing has ended", legs=ALL_LEGS, done=done)
+            return [*self._stop(due, now_ns, *self.objection), ended]
         deadlines = [(leg.number, leg.deadline_ns(rules.timeout_ns)) for leg in legs]
         silent = {number: deadline for number, deadline in deadlines if deadline is not None and now_ns >= deadline}
         if not silent:
@@ -68,7 +65,7 @@ class Watchdog(Interlock[Never]):
     def _stop(self, due: dict[int, int], now_ns: int, reason: Reason, detail: str) -> list[Effect]:
         """Stop these legs, and mark those as expired that ran or waited to be started."""
         expired = [leg for leg in self._legs if leg.number in due and leg.armed]
-        effects = self._legs.stop(due, Cause.WATCHDOG, now_ns, reason, detail)
+        effects = self._legs.stop(due, Halt(Cause.WATCHDOG, reason, detail), now_ns)
         for leg in expired:
             leg.expired = True
         return effects
