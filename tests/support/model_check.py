@@ -43,6 +43,7 @@ from gateway.robot.core.interlock import Interlock
 from gateway.robot.core.lease import RobotLease
 from gateway.robot.core.leg import Leg
 from gateway.robot.core.legs import Legs
+from gateway.robot.core.power_rule import PowerRule
 from gateway.robot.core.rules import Rules
 from gateway.robot.core.servo import Servo
 from gateway.robot.core.stops import Repeats, StopSchedule
@@ -171,6 +172,8 @@ def _copied_interlocks(supervisor: Supervisor, legs: Legs) -> Iterator[Interlock
         if isinstance(each, Buttons):
             by_token = {token: replace(button) for token, button in each._by_token.items()}
             yield cloned(each, _legs=legs, _by_token=by_token)
+        elif isinstance(each, PowerRule):
+            yield cloned(each, _legs=legs, _withheld=dict(each._withheld))
         else:
             yield cloned(each, _legs=legs)
 

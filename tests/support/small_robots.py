@@ -315,6 +315,17 @@ CONFIGURATIONS: Final = (
         boards=(_FED, _SILENT, replace(_FED, fed=frozenset({11})), PowerSeen(alive=True, lost=frozenset({12}))),
     ),
     Configuration(
+        "two servos of a leg, whose currents show whether they obey",
+        _rules(timeout_ns=3 * TICK, power=True, feed_ns=4 * TICK),
+        (("leg", ((11, START), (12, START))), ("servo", _each(STOP, 11))),
+        boards=(
+            *(_FED, replace(_FED, rests=False), replace(_FED, supplied=frozenset({11}))),
+            *(PowerSeen(alive=True, drew=((each, "it draws"),)) for each in (11, 12)),
+            PowerSeen(alive=True, lost=frozenset({12}), taken=frozenset({12})),
+        ),
+        calm=False,
+    ),
+    Configuration(
         "two legs, started one after the other",
         _rules(start_pause_ns=3 * TICK),
         (*_TWO_LEGS[:3], _TWO_LEGS[4]),

@@ -17,7 +17,6 @@ from gateway.robot.core.events import Announce, ClearErrors, Cut, Effect, Feed, 
 from gateway.robot.core.interlock import ALL_LEGS, Down, Interlock, Why
 from gateway.robot.core.legs import Halt, Legs
 from gateway.robot.core.rules import Rules
-from schemas.robot import SERVO_IDS
 from schemas.telemetry import Cause, Kind, Mode, Reason
 
 SILENT: Final = "the power board does not answer"
@@ -89,7 +88,7 @@ class PowerRule(Interlock[PowerSeen]):
         legs, deaf = self._legs, self._deaf(event)
         self.alive, self._blocked = event.alive, {each: f"{why}; a reset feeds it again" for each, why in event.refused}
         self.down = None if event.alive else Down(SILENT, None)
-        self._withheld |= dict.fromkeys(SERVO_IDS if deaf else (), deaf)
+        self._withheld |= dict.fromkeys(legs.servos if deaf else (), deaf)
         self._withheld |= {servo_id: _DREW for servo_id, _ in event.drew if not deaf}
         self._withheld |= dict.fromkeys(event.taken - self._blocked.keys(), _TAKEN)  # such as by `stop-servos`
         self.trusted = self.trusted or event.rests
