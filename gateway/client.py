@@ -24,11 +24,10 @@ from gateway.errors import (
     ZenohError,
 )
 from gateway.people.client.aio import AsyncButton, AsyncClient, AsyncLease, AsyncStream, AsyncWalk
-from gateway.people.client.blocking import Client, several_answer
+from gateway.people.client.blocking import Client
 from gateway.people.client.lease import Lease
 from gateway.people.client.lease_requests import Button
 from gateway.people.client.pace import Jitter
-from gateway.people.client.payloads import calibration_payload, leg_payload, legs_payload, servo_payload
 from gateway.people.client.stream import Stream
 from gateway.people.client.walk import Walk
 from gateway.people.walking.motion import Odometry, Posture, WalkState
@@ -69,9 +68,4 @@ __all__ = [
     "WalkError",
     "WalkState",
     "ZenohError",
-    "calibration_payload",
-    "leg_payload",
-    "legs_payload",
-    "servo_payload",
-    "several_answer",
 ]

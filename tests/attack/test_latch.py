@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 import zenoh
 
-from gateway.client import Client, leg_payload
+from gateway.client import Client
+from gateway.people.client.payloads import leg_payload
 from schemas import keys
 from schemas.telemetry import Event, Kind, Mode, Reason
 from tests.support.cut_link import CutLink
@@ -108,5 +109,5 @@ def test_a_gateway_that_was_frozen_executes_nothing_that_waited_in_it(
     pass_time(HELD_S)
     assert bystander.reset().accepted
     put(bystander, keys.leg_command(4), START)
-    assert bystander.servo(41, "set", 90).accepted, "after a while it is as before"
+    assert bystander.set_leg(4, 90, 45, 120).accepted, "after a while it is as before"
     assert bystander.stop().accepted

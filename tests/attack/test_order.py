@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 import zenoh
 
-from gateway.client import Client, leg_payload, legs_payload, servo_payload
+from gateway.client import Client
+from gateway.people.client.payloads import leg_payload, legs_payload, servo_payload
 from schemas import keys
 from schemas.keys import LEGS_COMMAND, leg_command, servo_command
 from schemas.telemetry import Kind
@@ -56,7 +57,7 @@ def overtaken(client: Client, pairs: list[tuple[Way, Way]], tries: int) -> Count
         send(client, start, STARTS)
         send(client, stop, STOPS)
         # Sent after both, so it comes when both are there. Only a servo that runs takes it.
-        ran = client.servo(11, "set", 91, check=False).accepted
+        ran = client.ask(keys.servo_command(11), servo_payload("set", 91)).accepted
         if ran or client.state().legs[0].servos[0].running:
             found[pair] += 1
     return found

@@ -20,8 +20,9 @@ from pathlib import Path
 from statistics import median, quantiles
 from typing import Final, NamedTuple
 
-from gateway.client import Client, leg_payload, servo_payload
+from gateway.client import Client
 from gateway.errors import ZenohError
+from gateway.people.client.payloads import leg_payload, servo_payload
 from schemas.keys import LEGS_COMMAND, leg_command, servo_command
 from tests.benchmarks.processes import fds, program, publishing, rss_kb, threads
 from tests.support.gateway_process import Gateway

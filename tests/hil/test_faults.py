@@ -12,9 +12,10 @@ from typing import Any
 
 import pytest
 
-from gateway.client import Client, leg_payload
+from gateway.client import Client
 from gateway.errors import SpiError
 from gateway.model.frames import Framing
+from gateway.people.client.payloads import leg_payload
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Ack, Event, Kind, Mode, Reason, WatchdogState

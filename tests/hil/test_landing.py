@@ -12,6 +12,7 @@ import pytest
 
 from gateway.client import Client
 from gateway.model.frames import Frame, Framing, Op, ServoOp, decode
+from schemas.keys import servo_command
 from schemas.robot import LEGS
 from schemas.telemetry import Kind, Mode, Reason
 from tests.hil.bed import SpiTestbed, Transfer
@@ -52,8 +53,9 @@ class Scene:
         """Start them, and wait for the first frame that nobody commanded."""
         self._since = len(self.bed.transfers)
         assert client.start_leg(3, 90, 45, 120).accepted
-        assert client.servo(41, "start", 100).accepted
-        assert client.servo(43, "start", 100).accepted  # so soon that it waits for its rate slot
+        for servo_id in (41, 43):
+            ack = client.ask(servo_command(servo_id), {"op": "start", "angle_deg": 100})
+            assert ack.accepted  # so soon that it waits for its rate slot
         self.wait_for_frames(1)
 
     def wait_for_frames(self, count: int) -> None:

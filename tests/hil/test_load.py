@@ -19,8 +19,8 @@ import pytest
 import zenoh
 from zenoh.handlers import RingChannel
 
-from gateway.client import leg_payload
 from gateway.model.frames import decode
+from gateway.people.client.payloads import leg_payload
 from gateway.zenoh.config import client_config
 from schemas.keys import EVENT, STATE, leg_command
 from schemas.robot import LEGS

@@ -14,6 +14,7 @@ from typing import Final
 import pytest
 
 from gateway.people.client.blocking import Client
+from schemas.keys import servo_command
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Kind, Mode, Reason
 from tests.hil.bed import SpiTestbed, Transfer
@@ -174,7 +175,7 @@ def test_with_elkapod_2025_a_servos_supply_is_its_start_and_its_stop(tmp_path: P
             first = next(each for each in frames if [*angles_of(each.data).values()][6:9] == [91, 45, 120])
             assert first.monotonic_ns < on.at_ns, "the angle is on the wire before the supply comes"
             board.skip()
-            ack = client.servo(32, "stop")
+            ack = client.ask(servo_command(32), {"op": "stop"}, again=True)
             assert (ack.accepted, ack.confirmed) == (True, True)
             assert board.next("fed").mask == 0b101 << 6
             assert client.estop().confirmed

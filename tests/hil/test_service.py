@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from gateway.client import leg_payload
 from gateway.errors import ConfigError, DeviceHeldError
 from gateway.model.frames import Framing
+from gateway.people.client.payloads import leg_payload
 from schemas import keys
 from schemas.telemetry import Kind, Mode, Reason
 from tests.hil.bed import DEVICE, Setting, SpiTestbed, Transfer

@@ -14,7 +14,8 @@ from typing import Any, Final
 import zenoh
 from zenoh.handlers import RingChannel
 
-from gateway.client import Client, leg_payload
+from gateway.client import Client
+from gateway.people.client.payloads import leg_payload
 from schemas.keys import ALIVE, EVENT, FRAME, STATE, leg_command
 from schemas.telemetry import Ack, Cause, Event, FrameRecord
 from tests.net.namespaces import Network

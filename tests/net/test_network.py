@@ -13,7 +13,7 @@ from typing import Any, Final, NamedTuple
 
 import pytest
 
-from gateway.client import leg_payload
+from gateway.people.client.payloads import leg_payload
 from schemas.keys import leg_command
 from schemas.robot import LEGS
 from schemas.telemetry import Kind, Mode, Reason
@@ -33,7 +33,8 @@ FIRST, LAST = (1, 2, 3), (4, 5, 6)
 DEAF: Final = """
 import itertools, json, sys, time
 from zenoh.handlers import FifoChannel, RingChannel
-from gateway.client import Client, leg_payload
+from gateway.client import Client
+from gateway.people.client.payloads import leg_payload
 from schemas.keys import FRAME, STATE, leg_command
 with Client(sys.argv[1], timeout_s=20) as client:
     client.state()

@@ -210,7 +210,7 @@ def test_ctrl_c_stops_the_servo(gateway: Gateway, client: Client, after: Op) -> 
 def test_what_somebody_else_stops_meanwhile_is_not_started_again(gateway: Gateway, client: Client) -> None:
     heard = frames(client)
     with moving(gateway, heard) as child:
-        assert client.servo(12, "start", 90, check=False).reason == Reason.NOT_HOLDER, "it has the lease"
+        assert client.start_leg(1, 90, 90, 90, check=False).reason == Reason.NOT_HOLDER, "it has the lease"
         assert client.stop().accepted
         assert child.wait() == 1, str(child)
     assert "a set was rejected: servo_stopped: " in child.stderr

@@ -18,9 +18,10 @@ import numpy as np
 import pytest
 
 from gateway import client as client_module
-from gateway.client import Client, RejectedError, StoppedError, leg_payload
+from gateway.client import Client, RejectedError, StoppedError
 from gateway.errors import UnansweredError, ZenohError
 from gateway.people.client import blocking, lease, stream
+from gateway.people.client.payloads import leg_payload
 from schemas import keys
 from schemas.telemetry import Ack, Cause, Mode
 from tests.support.child import Child
@@ -161,7 +162,6 @@ def test_a_program_that_closes_nothing_leaves_nothing_to_the_watchdog(
 STARTS_AND_SETS: Final[list[Callable[[Client, bool], Ack]]] = [
     lambda client, check: client.set_leg(3, 90, 45, 120, check=check),
     lambda client, check: client.set_legs({3: (90, 45, 120)}, check=check),
-    lambda client, check: client.servo(32, "set", 90, check=check),
     lambda client, check: client.start_leg(1, 90, 45, 200, check=check),
     lambda client, check: client.start_legs([(90, 45, 4)] * 6, unit="rad", check=check),
     lambda client, check: client.calibrate({}, {31: 181}, check=check),
@@ -179,11 +179,11 @@ def test_what_is_rejected_raises_or_returns_its_answer(robot: Client, call: Call
 
 def test_stops_always_return_their_answer(robot: Client) -> None:
     with robot.lease(), Client(robot.robot[1], source="another") as other:
-        answers = [other.stop(), other.stop(3), other.servo(32, "stop"), other.estop()]
+        answers = [other.stop(), other.stop(3), other.estop()]
         assert all(answer.accepted for answer in answers)
         assert {repr(answer).partition("(")[0] for answer in answers} == {"Ack"}, "no private name"
-        answers = [other.stop(), other.stop(3), other.servo(32, "stop"), other.estop()]
-        assert [answer.accepted for answer in answers] == [False, False, False, True], "they change nothing more"
+        answers = [other.stop(), other.stop(3), other.estop()]
+        assert [answer.accepted for answer in answers] == [False, False, True], "they change nothing more"
         with pytest.raises(RejectedError):
             robot.reset((answers[-1].estop or 0) - 1)
     robot.reset()

@@ -80,8 +80,6 @@ CALLS: Final[list[tuple[str, tuple[Any, ...], Callable[[Any], object]]]] = [
     ("set_leg", (3, *POSE), lambda ack: ack.accepted),
     ("start_legs", ({1: POSE, 2: POSE},), lambda ack: ack.accepted),
     ("set_legs", ({1: POSE, 2: POSE},), lambda ack: ack.accepted),
-    ("servo", (51, "start", 9), lambda ack: ack.accepted),
-    ("publish", (keys.leg_command(1), {"servos": [{"op": "stop"}] * 3}), lambda none: none is None),
     ("ask", (keys.leg_command(2), {"servos": [{"op": "stop"}] * 3}), lambda ack: ack.accepted),
     ("stop", (), lambda ack: ack.accepted),
     ("calibrate", ({51: ServoChange(min_deg=12.34)},), lambda ack: ack.accepted),
@@ -92,7 +90,6 @@ CALLS: Final[list[tuple[str, tuple[Any, ...], Callable[[Any], object]]]] = [
     ("estop", (), lambda ack: ack.stop_frames == 6),
     ("state", (), lambda state: state.mode == Mode.ESTOPPED),
     ("reset", (), lambda ack: ack.accepted),
-    ("answerers", (keys.RESET,), lambda found: len(found) == 1),
 ]
 
 

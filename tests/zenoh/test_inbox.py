@@ -9,9 +9,10 @@ import pytest
 import zenoh
 from zenoh.handlers import RingChannel
 
-from gateway.client import Client, leg_payload, servo_payload
+from gateway.client import Client
 from gateway.host.settings_table import ZenohSettings
 from gateway.model.frames import Frame, decode, stop_leg
+from gateway.people.client.payloads import leg_payload, servo_payload
 from gateway.robot.zenoh_io.outbox import ZenohOutbox
 from gateway.robot.zenoh_io.session import service_config
 from gateway.robot.zenoh_io.unknown_keys import UnknownKeys

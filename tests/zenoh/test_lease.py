@@ -9,8 +9,9 @@ import pytest
 import zenoh
 
 from gateway import certs
-from gateway.client import Client, LeaseLostError, RejectedError, leg_payload
+from gateway.client import Client, LeaseLostError, RejectedError
 from gateway.people.client.lease_requests import Identity
+from gateway.people.client.payloads import leg_payload
 from schemas import keys
 from schemas.lease import LeaseAck
 from schemas.telemetry import Ack, Cause, Kind, Reason
@@ -135,7 +136,12 @@ def test_a_stop_carries_no_token(anna: Client, bert: Client) -> None:
     with anna.lease():
         wait_until(lambda: anna.start_leg(1, *POSE).accepted and keys.leg_command(1) in asked, "she knows who listens")
         assert b'"lease"' in asked.pop(keys.leg_command(1))
-        for stop in (anna.stop, partial(anna.stop, 1), partial(anna.servo, 21, "stop"), anna.estop):
+        for stop in (
+            anna.stop,
+            partial(anna.stop, 1),
+            partial(anna.ask, keys.servo_command(21), {"op": "stop"}, again=True),
+            anna.estop,
+        ):
             assert stop().accepted
         assert anna.reset().accepted
     assert set(asked) == {*wanted}

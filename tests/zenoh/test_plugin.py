@@ -12,6 +12,7 @@ from typing import Final, NamedTuple
 import pytest
 
 from gateway.errors import GatewayError
+from schemas.keys import servo_command
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Mode
 from tests.support.child import Child
@@ -112,7 +113,7 @@ def test_a_plugin_starts_moves_and_stops_servos_with_stops_first_and_alone(plugi
         assert (state.wire.name, state.spi.device, state.spi.framing, state.protocol) == (NAME, NAME, "none", NAME)
         since = len(plugin.calls())
         client.start_leg(3, *LEG_3.values())
-        client.servo(32, "set", 46)
+        client.ask(servo_command(32), {"op": "set", "angle_deg": 46})
         moved = [each.changes for each in plugin.calls(since) if not each.stops]
         assert moved == [LEG_3, {32: 46.0}]
         since = len(plugin.calls())
@@ -144,7 +145,7 @@ def test_a_mistake_in_it_ends_the_gateway_with_stops_tried(plugin: Installed, ga
         client.start_leg(3, *LEG_3.values())
         plugin.mistake.touch()
         with suppress(GatewayError):  # it may end before it answers
-            client.servo(32, "set", 46)
+            client.ask(servo_command(32), {"op": "set", "angle_deg": 46})
         assert gateway.child.wait() == 1
     assert "a mistake in the plug-in" in gateway.child.stderr
     assert "no Stop could be written to legs 1, 2, 3, 4, 5, 6" in gateway.child.stderr

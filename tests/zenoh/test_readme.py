@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.client import leg_payload
+from gateway.people.client.payloads import leg_payload
 from schemas import keys
 from schemas.telemetry import Event, Kind
 from tests.support.command import run_here

@@ -15,8 +15,9 @@ import zenoh
 
 from gateway import certs
 from gateway.certs import authority
-from gateway.client import Client, leg_payload
+from gateway.client import Client
 from gateway.errors import DisconnectedError, ZenohError
+from gateway.people.client.payloads import leg_payload
 from schemas import keys
 from schemas.telemetry import Kind, Mode
 from tests.support.command import Ended, run_here

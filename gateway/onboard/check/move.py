@@ -241,7 +241,7 @@ def move(connect: Connection, *, agreed: bool) -> int:
         at_rest = len(measured)
 
         def stop() -> str:  # alone in its call
-            ack = client.stop() if whole else client.servo(motion.servo_id, "stop")
+            ack = client.stop() if whole else client.ask(motion.key, {"op": "stop"}, again=True)
             end = "stopped." if ack.accepted else f"not stopped: {ack.reason}: {ack.detail}"
             return f"{which.capitalize()} {end}"
 

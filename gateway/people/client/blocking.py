@@ -35,8 +35,6 @@ from gateway.people.client.payloads import (
     leg_payload,
     legs_payload,
     row,
-    servo_number,
-    servo_payload,
 )
 from gateway.people.client.process_end import check_fork, close_at_the_end, forked, keep_signals
 from gateway.people.client.question import JSON, EstopAck, Hosts, Question, close_later, taken_id
@@ -285,14 +283,6 @@ class Client:
         """Move running legs to these angles, in one message: accepted or rejected as a whole."""
         return self._move(check, lambda: (keys.LEGS_COMMAND, legs_payload("set", angles, unit)))
 
-    def servo(
-        self, servo_id: int, op: str, angle: "Angle | None" = None, *, unit: "Unit" = "deg", check: bool = True
-    ) -> Ack:
-        """Start, set or stop (`op`) servo 11 to 63. Start and set need an `angle`."""
-        if op == "stop":
-            return self.ask(keys.servo_command(servo_number(servo_id)), servo_payload(op), again=True)
-        return self._move(check, lambda: (keys.servo_command(servo_number(servo_id)), servo_payload(op, angle, unit)))
-
     def _move(self, check: bool, made: Callable[[], tuple[str, dict[str, Any]]]) -> Ack:
         try:
             ack = self.ask(*made())
@@ -376,7 +366,7 @@ class Client:
     def answerers(self, key: str, wait_s: float = 0.0) -> frozenset[str]:
         """Return the Zenoh ids of the programs that replied to the latest answered question on `key`.
 
-        Only one can be the gateway. Waits at most `wait_s` seconds for later replies.
+        Only one can be the gateway. Waits at most `wait_s` seconds for later replies. @private
         """
         question = self._answered.get(key)
         if question is None:
@@ -387,7 +377,7 @@ class Client:
     # ---- commands, fire and forget
 
     def publish(self, key: str, payload: Mapping[str, Any]) -> None:
-        """Send one command without waiting for an answer. Only `hexapod/event` reports a rejection."""
+        """Send one command without waiting for an answer. Only `hexapod/event` reports a rejection. @private"""
         data = self._payload(key, payload, self.carried_lease)
         with self._open_session() as session:
             session.put(key, data, encoding=JSON, express=True, source_info=self._sent_by)
@@ -501,11 +491,3 @@ def dropped(session: zenoh.Session) -> None:
     """Close the session of a client that a program has dropped: its subscribers' threads would outlast the program."""
     if not forked():
         close_later(session)
-
-
-def several_answer(count: int, key: str) -> str:
-    """Return the warning for `count` answerers (above 1) that `Client.answerers` found on `key`."""
-    return (
-        f"{count} programs answer on {key}, and only one of them is the gateway; "
-        "certificates keep others out (docs/certificates.md)"
-    )

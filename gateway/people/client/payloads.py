@@ -147,21 +147,12 @@ def calibration_payload(
 
 def leg_number(leg: object) -> int:
     """Return a leg's number, 1 to 6. Raises TypeError for no whole number, as "3", OutOfRangeError for another."""
-    return _named("leg", leg, LEGS, "legs are 1 to 6")
-
-
-def servo_number(servo_id: object) -> int:
-    """Return a servo's id, 11 to 63. Raises TypeError for no whole number, OutOfRangeError for an unknown id."""
-    return _named("servo", servo_id, SERVO_IDS, "an id is the leg (1 to 6) and the joint (1 to 3), such as 32")
-
-
-def _named(what: str, name: object, known: Collection[int], which: str) -> int:
-    if type(name) is not int and (isinstance(name, bool) or not isinstance(name, SupportsIndex)):
-        raise TypeError(f"a {what} is a whole number, and not {name!r}; {which}")
-    number = operator.index(name)
-    if number not in known:
-        raise OutOfRangeError(f"{what} {number} does not exist; {which}")
-    return number
+    if type(leg) is not int and (isinstance(leg, bool) or not isinstance(leg, SupportsIndex)):
+        raise TypeError(f"a leg is a whole number, and not {leg!r}; legs are 1 to 6")
+    found = operator.index(leg)
+    if found not in LEGS:
+        raise OutOfRangeError(f"leg {found} does not exist; legs are 1 to 6")
+    return found
 
 
 def number(angle: object, unit: Unit = "deg", which: str = "") -> float:

@@ -8,6 +8,7 @@ import socket
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
+from typing import Final
 
 from gateway.errors import LeaseError, RejectedError, UnansweredError, ZenohError
 from gateway.host import effective
@@ -19,6 +20,8 @@ from schemas.keys import MAX_SOURCE
 from schemas.telemetry import Ack, Reason
 
 Connection = Callable[[], AbstractContextManager[Client]]
+_OTHERS_S: Final = 0.2
+"""How long to wait for replies of other programs than the gateway."""
 
 
 def me() -> str:
@@ -95,6 +98,16 @@ def rejected(error: RejectedError | Ack) -> int:
     elif error.reason == Reason.NO_LEASE:
         hint(f"This robot obeys only the holder of the lease: `{command('send … --hold S')}` acquires it.")
     return 1
+
+
+def warn_of_others(client: Client, key: str, say: Callable[[str], object]) -> None:
+    """Call `say` with a warning if several programs answered the latest question on `key`."""
+    count = len(client.answerers(key, _OTHERS_S))
+    if count > 1:
+        say(
+            f"{count} programs answer on {key}, and only one of them is the gateway; "
+            "certificates keep others out (docs/certificates.md)"
+        )
 
 
 def until_reset() -> str:

@@ -7,7 +7,7 @@ from contextlib import suppress
 from typing import Any, Final
 
 from gateway.errors import ConfigError, GatewayError, LeaseError
-from gateway.people.client.blocking import Client, several_answer
+from gateway.people.client.blocking import Client
 from gateway.people.client.lease_requests import Identity
 from gateway.people.client.payloads import leg_payload, legs_payload, servo_payload
 from gateway.people.commands import reach
@@ -24,8 +24,6 @@ from schemas.telemetry import Ack, GatewayState, Mode, Reason, WatchdogReport
 HOLD_PERIOD_S = 0.05
 """A fifth of the default watchdog timeout."""
 
-_OTHERS_S = 0.2
-"""How long a command waits for programs that have neither replied nor declined."""
 
 _MOST_PERSON: Final = 40
 """Most characters of the person's name; a source may have 64."""
@@ -143,9 +141,7 @@ def _ask(connect: Connection, key: str, ask: Callable[[Client], int]) -> int:
     """Return the exit code of `ask`. After its result, which must not wait, warn if other programs answer on `key`."""
     with connect() as client:
         code = ask(client)
-        count = len(client.answerers(key, _OTHERS_S))
-        if count > 1:
-            hint(several_answer(count, key))
+        reach.warn_of_others(client, key, hint)
         return code
 
 

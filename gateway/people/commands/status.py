@@ -13,8 +13,8 @@ from typing import Final, NamedTuple, NoReturn
 from gateway import certs
 from gateway.host import output
 from gateway.people.client import diagnosis
-from gateway.people.client.blocking import Client, several_answer
-from gateway.people.commands import why
+from gateway.people.client.blocking import Client
+from gateway.people.commands import reach, why
 from gateway.people.commands.options import Reach
 from gateway.people.terminal import hint, on_end_signals, say
 from gateway.people.walking.words import robot_now
@@ -105,8 +105,6 @@ SILENT_AFTER_NS: Final = 2 * NS_PER_S
 """Time for a question to a gateway that publishes no state, and for one lost answer (live.py: 0.4 s, 0.6 s, 0.4 s).
 The liveliness token shows the end of its process at once."""
 _POLL_S: Final = 0.1
-_OTHERS_S: Final = 0.2
-"""How long to wait for replies of other programs than the gateway."""
 
 
 class NewsLine(NamedTuple):
@@ -174,9 +172,7 @@ class Follower(Receiver):
                 self._is_silent()
 
     def answered(self, client: Client) -> None:
-        count = len(client.answerers(keys.STATE, _OTHERS_S))
-        if count > 1:
-            self.note(several_answer(count, keys.STATE))
+        reach.warn_of_others(client, keys.STATE, self.note)
 
     def diagnosed(self, reasons: list[str]) -> None:
         for each in reasons if self._received_ns is None or self._silent else ():

@@ -18,7 +18,7 @@ from gateway.client import Client, RejectedError
 from gateway.errors import OutOfRangeError, WalkError
 from gateway.people.client.lease_requests import LIFE, REGISTRATION_TRIES, Button
 from gateway.people.client.lease_requests import Requests as ClientRequests
-from gateway.people.client.payloads import leg_number, leg_payload, legs_angles, legs_payload, number, servo_number
+from gateway.people.client.payloads import leg_number, leg_payload, legs_angles, legs_payload, number
 from gateway.people.walking.gait_speed import Distance
 from gateway.people.walking.motion import Velocity
 from schemas.button import ButtonAck
@@ -102,11 +102,9 @@ ORDER = "a leg's angles are a list, a tuple or an array of three"
         (leg_number, 3.0, TypeError, "a leg is a whole number, and not 3.0; legs are 1 to 6"),
         (leg_number, True, TypeError, "a leg is a whole number, and not True; legs are 1 to 6"),
         (leg_number, 7, OutOfRangeError, "leg 7 does not exist; legs are 1 to 6"),
-        (servo_number, "32", TypeError, "a servo is a whole number, and not '32'; an id is the leg"),
-        (servo_number, 14, OutOfRangeError, "servo 14 does not exist; an id is the leg"),
     ],
 )
-def test_what_is_no_angle_leg_or_servo_is_reported(
+def test_what_is_no_angle_or_leg_is_reported(
     call: Callable[[Any], object], wrong: object, error: type[Exception], sentence: str
 ) -> None:
     with pytest.raises(error, match=re.escape(sentence)):
