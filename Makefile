@@ -54,7 +54,7 @@ endif
 test-all: $(VENV)/dev $(VENV)/rclpy debian-packages
 	@$(BIN)/python -m tests $(if $(REST),--rest,--all) --workers $(WORKERS)
 
-nightly: $(VENV)/dev $(VENV)/rclpy debian-packages
+nightly: $(VENV)/dev $(VENV)/rclpy $(VENV)/lerobot debian-packages
 	@$(BIN)/python -m tests --nightly --workers $(WORKERS)
 	ZYGOTE=no $(BIN)/pytest tests/hil/test_service.py tests/zenoh/test_service.py
 	$(BIN)/python -m tests.pythons
@@ -160,6 +160,14 @@ $(VENV)/rclpy: $(VENV)/dev
 		&& ../bin/python -c 'import sysconfig; print("import site; site.addsitedir(%r)" % sysconfig.get_path("purelib"))' \
 			> lib/python3.11/site-packages/beside.pth \
 		|| { rm -rf $(abspath $@); echo "rclpy could not be installed, so the tests with ROS 2 itself are skipped"; }
+
+# The released LeRobot for the test of examples/lerobot. It needs a later Python than $(VENV) may have, and gigabytes.
+$(VENV)/lerobot: $(VENV)/dev
+	@python=$$(ls ~/.pyenv/versions/3.12.*/bin/python 2>/dev/null | tail -1); \
+	python=$${python:-$$(command -v python3.12 || command -v python3.13 || echo false)}; \
+	echo "Installing LeRobot into $@ (some minutes) …"; \
+	$$python -m venv --clear $@ && $@/bin/pip install --quiet --disable-pip-version-check -e . -e examples/lerobot \
+		|| { rm -rf $(abspath $@); echo "LeRobot could not be installed, so its tests are skipped"; }
 
 # Root, or sudo without a password, installs what is missing; anyone else is told by the skipped tests. `APT=no` installs
 # nothing.

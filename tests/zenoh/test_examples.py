@@ -65,7 +65,7 @@ def moved(heard: Heard[FrameRecord]) -> dict[int, set[int]]:
 def test_every_example_is_run_here() -> None:
     here = Path(__file__).read_text()
     for path in EXAMPLES.rglob("*.py"):
-        if path.parent.name in {"ros2", "wire_pca9685", "wire_maestro"}:  # tests/ros2, tests/unit/test_wire_…
+        if path.parent.name in {"lerobot", "ros2", "wire_pca9685", "wire_maestro"}:  # test_lerobot.py, tests/ros2, …
             continue
         assert f'"{path.relative_to(EXAMPLES)}"' in here
 
