@@ -50,15 +50,17 @@ class RateLimitBySource:
 
     def admit(self, source: str | None, now_ns: int, count: int = 1) -> int | None:
         """Take `count` tokens of this source. Return how many were rejected since the last success; None: rejected."""
-        if source not in self._known and len(self._known) >= MOST_SOURCES:
-            self._known = {name: known for name, known in self._known.items() if not known.is_full(now_ns)}
-            if len(self._known) >= MOST_SOURCES:
-                source = None
-        if source not in self._known:
-            self._known[source] = RateLimit(*self._each)
-        known = self._known[source]
+        known = self._known.get(source) or self._begun(source, now_ns)
         if not known.take(now_ns, count):
             known.left_out += count
             return None
         left_out, known.left_out = known.left_out, 0
         return left_out
+
+    def _begun(self, source: str | None, now_ns: int) -> RateLimit:
+        """Return the allowance of a source that has none yet."""
+        if len(self._known) >= MOST_SOURCES:
+            self._known = {name: known for name, known in self._known.items() if not known.is_full(now_ns)}
+            if len(self._known) >= MOST_SOURCES:
+                source = None
+        return self._known.setdefault(source, RateLimit(*self._each))

@@ -27,6 +27,7 @@ Memory is bounded. A source is forgotten only after a minute of silence, when an
 With all places taken, a new source is rejected, since its burst would look like fresh commands.
 """
 
+import math
 from dataclasses import dataclass
 from operator import attrgetter
 from typing import Final
@@ -82,16 +83,20 @@ class Staleness:
         self._pause_ms = max(max_age_ms, LEAST_PAUSE_MS)
         self._sources: dict[str | None, tuple[list[_Clock], list[float]]] = {}
         """Clocks and newest instant by source; the source that was silent for longest comes first."""
-        self._alive_ms: float | None = None
+        self._alive_ms = math.inf
         self._woke_ms: float | None = None
         self._paused_ms = 0.0
 
-    def record_alive(self, now_ns: int) -> None:
-        """Record that the gateway runs. Call it ten times a second at least: a longer gap counts as a pause."""
-        now_ms = now_ns / 1e6
-        if self._alive_ms is not None and now_ms - self._alive_ms > self._pause_ms:
-            self._woke_ms, self._paused_ms = now_ms, now_ms - self._alive_ms
+    def record_alive(self, now_ns: int) -> float:
+        """Record that the gateway runs. Call it ten times a second at least: a longer gap counts as a pause.
+
+        Return `now_ns` in ms.
+        """
+        now_ms, alive_ms = now_ns / 1e6, self._alive_ms
         self._alive_ms = now_ms
+        if now_ms - alive_ms > self._pause_ms:
+            self._woke_ms, self._paused_ms = now_ms, now_ms - alive_ms
+        return now_ms
 
     # mutants accepted (Gt_GtE, Lt_LtE, Step): equal values; a list of one
     def too_old(self, name: str | None, sent_ms: float | None, now_ns: int, instant_ns: int) -> str | None:
@@ -99,8 +104,7 @@ class Staleness:
 
         `instant_ns` is when it was collected, together with others in unknown order.
         """
-        self.record_alive(now_ns)
-        now_ms = now_ns / 1e6
+        now_ms = self.record_alive(now_ns)
         if sent_ms is None:
             return self._after_a_pause(now_ms, now_ms) if self._woke_ms is not None else None
         clocks = self._clocks_of(name, instant_ns / 1e6)

@@ -34,7 +34,7 @@ from pydantic_core import from_json, to_json
 from gateway.model.angle_limits import AngleLimits
 from gateway.model.calibration import RobotCalibration
 from gateway.model.frames import OP_START, OP_STOP, SETS, STARTS, STOP, ServoOp
-from gateway.robot.core.events import Command, Effect, Event, Request, batches, targets_by_leg
+from gateway.robot.core.events import Command, Effect, Event, Request, batches
 from gateway.robot.core.rules import Rules
 from gateway.robot.core.supervisor import ALL_EVENTS, Supervisor
 
@@ -91,8 +91,7 @@ def _defaults_of(kind: Any) -> dict[str, Any]:
     if is_dataclass(kind):
         factories = {each.name: each.default_factory for each in fields(kind)}
         made = {name: factory() for name, factory in factories.items() if factory is not MISSING}
-        found = {each.name: made.get(each.name, each.default) for each in fields(kind)}
-        return found | ({"left": MISSING} if kind is Command else {})  # always written
+        return {each.name: made.get(each.name, each.default) for each in fields(kind)}
     if issubclass(kind, BaseModel):
         return dict.fromkeys(kind.model_fields, MISSING)
     return {name: kind._field_defaults.get(name, MISSING) for name in kind._fields}
@@ -180,7 +179,7 @@ class _Reader:
         for name, default in known.items():
             object.__setattr__(made, name, self.value(content[name]) if name in content else copy(default))
         if kind is Command:
-            made.aim(made.targets, targets_by_leg(made.targets))
+            made.__post_init__()
             made.left = content.get("left", made.left)
         return made
 

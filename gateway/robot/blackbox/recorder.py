@@ -153,16 +153,6 @@ def _accepted(written: Sequence[Written], decided: Sequence[Result]) -> Request 
     return done[0] if done else None
 
 
-def _of_command(event: Event, now_ns: int, instant_ns: int) -> tuple[int, int, int] | None:
-    """Return what a command's record contains of its step, or None if the event needs its own record."""
-    if type(event) is not Command or event.rejected is not None or event.lost:
-        return None
-    after_ns, waited_ns = now_ns - event.received_ns, now_ns - instant_ns
-    if not (0 <= after_ns < form.NO_STEP and 0 <= waited_ns < form.NO_STEP):
-        return None
-    return after_ns, waited_ns, 0 if event.lease is None else token_number(event.lease)
-
-
 def _fields(one: Request, after_ns: int, waited_ns: int, lease: int) -> bytes:
     return form.command(
         one.number, one.verb, one.key, one.source, one.sent_ms, one.targets, one.source_id, after_ns, waited_ns, lease
@@ -328,10 +318,12 @@ class Recorder:
 
     def _of_step(self, event: Event, now_ns: int, instant_ns: int) -> tuple[int, int, int]:
         """Return what a command's record contains of its step. Any other event gets a record of its own."""
-        of_step = _of_command(event, now_ns, instant_ns)
-        if of_step is None:
-            self._append(form.STEP, now_ns, form.STEP_HEAD.pack(instant_ns) + to_json(plain_event(event)))
-        return of_step or (form.NO_STEP, 0, 0)
+        if type(event) is Command and event.rejected is None and not event.lost:
+            after_ns, waited_ns, token = now_ns - event.received_ns, now_ns - instant_ns, event.lease
+            if 0 <= after_ns < form.NO_STEP and 0 <= waited_ns < form.NO_STEP:
+                return after_ns, waited_ns, 0 if token is None else token_number(token)
+        self._append(form.STEP, now_ns, form.STEP_HEAD.pack(instant_ns) + to_json(plain_event(event)))
+        return form.NO_STEP, 0, 0
 
     def _decided(self, decided: Sequence[Result]) -> None:
         for request, verdict, _ in decided:

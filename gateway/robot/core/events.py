@@ -85,20 +85,17 @@ class Command(Request):
     rejected: "Rejected | None" = field(default=None, repr=False)
     """The rejection, if the command was rejected before the supervisor: only its Stops are carried out. The Stops of an
     unreadable message are such a command; its rejection answers another request."""
-    by_leg: dict[int, Targets] = field(init=False, default_factory=dict)
-    left: int = field(init=False, default=0)
+    by_leg: dict[int, Targets] = field(default_factory=dict)
+    """The targets of each leg. Without it, they are grouped here."""
+    left: int = field(init=False)
     """The number of targets that are not yet written or replaced by a newer command's."""
     coalesced: bool = False
     """Whether a newer command has replaced one of its targets."""
 
     def __post_init__(self) -> None:
-        if self.targets:
-            self.aim(self.targets, targets_by_leg(self.targets))
-
-    def aim(self, targets: Targets, by_leg: dict[int, Targets]) -> None:
-        """Set the targets of a new command; `by_leg` has the same ones."""
-        self.targets, self.by_leg, self.left = targets, by_leg, len(targets)
-        self.moves = tuple([target for target in targets if target[1].op is not OP_STOP])
+        self.by_leg = self.by_leg or targets_by_leg(self.targets)
+        self.left = len(self.targets)
+        self.moves = tuple([target for target in self.targets if target[1].op is not OP_STOP])
 
     @property
     def stops(self) -> Targets:

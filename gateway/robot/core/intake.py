@@ -69,9 +69,7 @@ def _of_legs(setpoints: Mapping[int, Iterable[dict[str, Any]]], sent: dict[str, 
         ops = [_OPS[each["op"]][round(each.get("angle_deg", 0) * 100)] for each in of_leg]
         by_leg[leg] = tuple(zip(_IDS_OF_LEG[leg], ops, strict=True))
         targets += by_leg[leg]
-    command = Command(source=sent["source"], sent_ms=sent["sent_ms"], lease=sent["lease"])
-    command.aim(targets, by_leg)
-    return command
+    return Command(targets, by_leg=by_leg, source=sent["source"], sent_ms=sent["sent_ms"], lease=sent["lease"])
 
 
 # ---- the table
@@ -212,7 +210,7 @@ def _decoded(row: TargetRules, number: int, received: Received) -> Command | Res
         once, each_leg = row.fields_around
         colons -= (command.source is not None) + (command.sent_ms is not None) + (command.lease is not None)
         colons -= once + each_leg * len(command.by_leg) + command.left + len(command.moves)  # a Stop has no angle
-    return (name_given_twice(payload) if colons > 0 else None) or command
+    return command if colons <= 0 else name_given_twice(payload) or command
 
 
 def named_source(payload: bytes) -> str | None:

@@ -166,7 +166,7 @@ class Legs:
             return [rejected]
         effects: list[Effect] = []
         if write:
-            stops = replace(command, targets=command.stops)
+            stops = replace(command, targets=command.stops, by_leg={})
             stops.left += 1  # so that it is never completed: it is rejected
             effects = self.apply(stops, now_ns)
         rejected.request.stopped = tuple(servo_id for servo_id, _ in command.stops)

@@ -239,25 +239,25 @@ class Bus(Wire):
     # mutants accepted (LtE_Lt, Lt_LtE, Step, Sub_Add): equal times; longer than a stall either way
     def _call(self, report: BatchReport, zeros: int, frames: Sequence[Frame] = (), first: int = 0) -> None:
         """Write zeros, then these frames, in one call. `first` is the first frame's place. Raises SpiError."""
-        batch = [self._zero] * zeros
+        gap_us, announces, received = self._gap_us, self.announces, True
+        batch, zeros_before = [self._zero] * zeros, self._zeros + zeros
         for frame in frames:
-            if self.announces:
-                batch.append((frame.data[:1], self._gap_us))
-            batch.append((frame.data, self._gap_us))
-        check(batch, self._avoid_cdeg, announces=self.announces)
-        zeros_before = self._zeros + zeros
-        if frames:
+            if announces:
+                batch.append((frame.data[:1], gap_us))
+            batch.append((frame.data, gap_us))
+        if announces and frames:
             self._zeros = 0  # failed zeros are not counted; if they arrived, more do no harm
+        check(batch, self._avoid_cdeg, announces=announces)
         took_ns = self._transfer(batch, report)
-        received = True
-        if self._awaited != NOTHING:
-            received = max(self._awaited) <= zeros
-            self._awaited = after(self._awaited, b"".join(each for each, _ in batch))
+        if announces:
+            if self._awaited != NOTHING:
+                received = max(self._awaited) <= zeros
+                self._awaited = after(self._awaited, b"".join(each for each, _ in batch))
+            if zeros and zeros_before >= PREAMBLE_ZEROS:
+                self._synchronised_ns, self._suspect = self._ended_ns, False
+            if not frames:
+                self._zeros = zeros_before
         self._failures = 0
-        if zeros and zeros_before >= PREAMBLE_ZEROS:
-            self._synchronised_ns, self._suspect = self._ended_ns, False
-        if not frames:
-            self._zeros = zeros_before
         for place, _ in enumerate(frames, first):
             report.sent.append(Sent(place, self._ended_ns, took_ns, received))
         self.frames += len(frames)
