@@ -28,11 +28,23 @@ class Latch(Interlock[EmergencyStop | Reset | EstopKept]):
         """Whether an earlier run may have left it engaged. Until `EstopKept` it counts as engaged."""
 
     def halts(self, event: EmergencyStop | Reset | EstopKept) -> Halt | None:
-        return Halt(Cause.ESTOP, Reason.ESTOPPED, ESTOPPED) if type(event) is EmergencyStop else None
+        if type(event) is not EmergencyStop:
+            return None
+        return Halt(Cause.ESTOP, Reason.ESTOPPED, ESTOPPED, (event.source, event.source_id))
 
     def take(self, event: EmergencyStop | Reset | EstopKept, now_ns: int) -> list[Effect]:  # noqa: ARG002
         legs = self._legs
         match event:
+            case EmergencyStop():
+                first = self.since_ns is None
+                self.number += 1
+                self.since_ns = legs.instant_ns  # not now: a reset of the same instant may be older
+                detail, done = "emergency stop; all commands are rejected until a reset", "all six legs are stopped"
+                if not legs.sends:
+                    done = f"{self._rules.wire} does not answer, and the Stop frames follow as soon as it does"
+                source, key, source_id = event.source, event.key, event.source_id
+                engaged = Announce(Kind.ESTOP_ENGAGED, detail, source, key, done=done, source_id=source_id)
+                return [engaged] if first else []
             case Reset():
                 return self._leave(event, legs.instant_ns)
             case EstopKept():  # this run's emergency stops are numbered after the earlier run's
@@ -41,17 +53,6 @@ class Latch(Interlock[EmergencyStop | Reset | EstopKept]):
                 if event.engaged and self.since_ns is None:
                     self.since_ns = legs.instant_ns
                 return []
-            case EmergencyStop():
-                first = self.since_ns is None
-                self.number += 1
-                self.since_ns = legs.instant_ns  # not now: a reset of the same instant may be older
-                detail, done = "emergency stop; all commands are rejected until a reset", "all six legs are stopped"
-                if not legs.sends:
-                    done = f"{self._rules.wire} does not answer, and the Stop frames follow as soon as it does"
-                engaged = Announce(
-                    Kind.ESTOP_ENGAGED, detail, event.source, event.key, done=done, source_id=event.source_id
-                )
-                return [engaged] if first else []
 
     def _leave(self, reset: Reset, instant_ns: int) -> list[Effect]:
         why_not = self._why_not_left(reset.estop, instant_ns)

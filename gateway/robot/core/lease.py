@@ -92,7 +92,8 @@ class RobotLease(Interlock[LeaseRequest]):
 
     def halts(self, event: LeaseRequest) -> Halt | None:
         taken = f"{event.source} has taken the lease"
-        return Halt(Cause.COMMAND, Reason.NOT_HOLDER, taken) if event.do == "take" else None
+        sender = event.source, event.source_id
+        return Halt(Cause.COMMAND, Reason.NOT_HOLDER, taken, sender) if event.do == "take" else None
 
     def take(self, event: LeaseRequest, now_ns: int) -> list[Effect]:
         """Handle one request. Return its effects; the last one is its answer."""

@@ -34,6 +34,12 @@ from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Reason
 
 _COMMAND: Final = Cause.COMMAND  # see `frames.OP_STOP`
+_BY: Final = {
+    **dict.fromkeys((Cause.STARTUP, Cause.REPEAT, Cause.SHUTDOWN), "the gateway"),
+    Cause.WATCHDOG: "the watchdog",
+    Cause.ESTOP: "the emergency stop",
+}
+"""Who stops legs, by the cause; a command's is its source."""
 _LOST: Final = "messages of the same key were lost, and a stop may be among them"
 _PARTLY: Final = (
     "this robot can only be started as a whole: send one command with a start for each joint of all six legs to "
@@ -48,6 +54,8 @@ class Halt(NamedTuple):
     cause: Cause
     reason: Reason
     detail: str
+    sender: Sender = NOBODY
+    """Who asked for it."""
 
 
 class Legs:
@@ -358,16 +366,15 @@ class Legs:
 
     # ---- Stops
 
-    def stop(
-        self, deadlines_ns: Mapping[int, int | None], halt: Halt, now_ns: int, sender: Sender = NOBODY
-    ) -> list[Effect]:
-        """Stop legs, and reject what waits for them. `deadlines_ns` has when each Stop was due; `sender` asked."""
-        cause, reason, detail = halt
+    def stop(self, deadlines_ns: Mapping[int, int | None], halt: Halt, now_ns: int) -> list[Effect]:
+        """Stop legs, and reject what waits for them. `deadlines_ns` has when each Stop was due."""
+        cause, reason, detail, sender = halt
         legs = [self.by_number[number] for number in deadlines_ns]
         transmits = [
             stop for leg in legs for stop in stops(leg, leg.servos, cause, deadline_ns=deadlines_ns[leg.number])
         ]
-        self.stops.silent = self.stops.silent or cause is Cause.WATCHDOG
+        if cause is Cause.WATCHDOG:
+            self.stops.silent = True
         servos = [servo for leg in legs for servo in leg.servos]
         self._note_halt(servos, cause, sender)
         dropped = self.drop(servos, reason, detail)
@@ -392,12 +399,10 @@ class Legs:
         """Return the events of legs that this step has stopped: one for each cause, and each sender that asked."""
         effects = []
         for (cause, (source, source_id)), legs in self._halted.items():
-            who = "somebody without a name" if source is None else source
-            by = {Cause.COMMAND: who, Cause.WATCHDOG: "the watchdog", Cause.ESTOP: "the emergency stop"}
+            by = _BY.get(cause, "somebody without a name" if source is None else source)
             stopped = tuple(sorted(legs))
-            detail = f"{by.get(cause, 'the gateway')} stopped {legs_named(stopped)}"
-            event = Announce(Kind.LEGS_STOPPED, detail, source, legs=stopped, source_id=source_id, cause=cause)
-            effects.append(event)
+            detail = f"{by} stopped {legs_named(stopped)}"
+            effects += [Announce(Kind.LEGS_STOPPED, detail, source, None, stopped, None, "", source_id, cause)]
         return effects
 
     def _drop_staggered(self, own: Command | None = None) -> list[Effect]:

@@ -43,7 +43,6 @@ from gateway.robot.core.body_limits import BodyLimits
 from gateway.robot.core.buttons import Buttons
 from gateway.robot.core.calibrating import Calibrating
 from gateway.robot.core.events import (
-    NOBODY,
     Announce,
     BodyMeasured,
     BusFailed,
@@ -60,7 +59,6 @@ from gateway.robot.core.events import (
     Rejected,
     RequestAnswer,
     Reset,
-    Sender,
     ShutDown,
     TimePassed,
     Transmit,
@@ -171,7 +169,7 @@ class Supervisor:
             if each.due_ns is not None and now_ns >= each.due_ns:
                 effects += each.expire(now_ns)
         due = legs.sends and self.due_ns is not None and now_ns >= self.due_ns
-        if own is not None and self._ended and kind in _NOT_AT_THE_END:
+        if self._ended and kind in _NOT_AT_THE_END:
             own = None
         halt = None if own is None else own.halts(event)
         # 2. what brings the robot down
@@ -188,7 +186,7 @@ class Supervisor:
         self.watchdog.closed = legs.landing_ends_ns is not None
         # 4. what the event halts
         if halt is not None:
-            effects += self._stop_all(halt, now_ns, _sender(event))
+            effects += self._stop_all(halt, now_ns)
         # 5. starts that are judged
         if self.backlog.held:
             effects += self.backlog.expire(now_ns)
@@ -373,16 +371,12 @@ class Supervisor:
         return [*self._stop_all(Halt(Cause.SHUTDOWN, Reason.STOPPING, _STOPPING), now_ns), announcement]
 
     # mutants accepted (Forget): done twice on purpose
-    def _stop_all(self, halt: Halt, now_ns: int, sender: Sender = NOBODY) -> list[Effect]:
+    def _stop_all(self, halt: Halt, now_ns: int) -> list[Effect]:
         legs = self.legs
         legs.landing_ends_ns = None  # a Stop of all legs ends a landing
         if not legs.sends:
             return legs.drop(legs.servos.values(), halt.reason, halt.detail)
-        return legs.stop(dict.fromkeys(legs.by_number), halt, now_ns, sender)
-
-
-def _sender(event: Event) -> Sender:
-    return (event.source, event.source_id) if isinstance(event, EmergencyStop | LeaseRequest) else NOBODY
+        return legs.stop(dict.fromkeys(legs.by_number), halt, now_ns)
 
 
 def _after_stops(effect: Effect) -> bool:
