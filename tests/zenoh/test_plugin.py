@@ -41,6 +41,8 @@ class ToFile(ServoWire):
     def apply(self, changes):
         if os.path.exists(self._path + ".mistake"):
             raise RuntimeError("a mistake in the plug-in")
+        if os.path.exists(self._path + ".fails"):
+            raise OSError("it does not answer")
         while os.path.exists(self._path + ".hangs"):
             open(self._path + ".hung", "w").close()
             time.sleep(0.01)
@@ -71,7 +73,8 @@ class Installed:
         self.settings = patient(wire={"name": NAME, "path": str(self.path)})
         self.env = {**os.environ, "PYTHONPATH": str(folder), "RUNTIME_DIRECTORY": str(folder)}
         """The environment of a program that finds the plug-in."""
-        self.mistake, self.hangs, self.hung = (folder / f"written.{name}" for name in ("mistake", "hangs", "hung"))
+        names = ("mistake", "fails", "hangs", "hung")
+        self.mistake, self.fails, self.hangs, self.hung = (folder / f"written.{name}" for name in names)
         (folder / "to_file.py").write_text(WIRE)
         described = folder / "to_file-1.0.dist-info"  # as if pip had installed it
         described.mkdir()
