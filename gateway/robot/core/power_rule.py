@@ -50,7 +50,7 @@ class PowerRule(Interlock[PowerSeen]):
         """Servos that are not to be powered before a reset, and why."""
         self._asked: dict[int, int | None] = {}
         """What the latest step feeds, as in Feed."""
-        self._cause: tuple[str | None, int] = None, 0
+        self._cause: tuple[str | None, int] = None, 0  # mutants accepted (Step): no cause has a number
         """Why all power is cut, and the number of the newest emergency stop; as of the latest step."""
         self._cut = False
         """Whether all power was cut, and no servo has been powered since."""
@@ -81,7 +81,7 @@ class PowerRule(Interlock[PowerSeen]):
     def _deaf(self, event: PowerSeen) -> str:
         """Return why the controller seems not to obey: the servo that is powered alone draws current; or ""."""
         alone = [] if self.trusted or event.rests else [each for each, _ in event.drew if each in self._asked]
-        return _DEAF.format(alone[0]) if alone else ""
+        return _DEAF.format(alone[0]) if alone else ""  # mutants accepted (Step): any of them
 
     # mutants accepted (Forget): only time is lost
     def take(self, event: PowerSeen, now_ns: int) -> list[Effect]:

@@ -10,6 +10,8 @@ from gateway.rate_limit import NS_PER_MS
 from gateway.robot.core.events import BusOpened, Command, Feed, PowerSeen, TimePassed, Transmit
 from gateway.robot.core.rules import Rules
 from gateway.robot.core.supervisor import Supervisor
+from schemas.robot import LEGS
+from schemas.telemetry import Kind
 from tests.support.scenes import play, scene_test
 
 BOARD: Final = "rules power=True\n 5 board\n"
@@ -184,7 +186,7 @@ UNTRUSTED: Final = """rules power=True
 SUPPLY: Final = {
     "one servo is fed alone until it was seen at rest": """
         supply feed 31
-        20 board (fed 31, rests no) → nothing
+        20 board (fed 31, supplied 31, rests no) → nothing
         30 board (fed 31) → nothing
         supply feed 31 32 33
         40 board → command 3 start 90; completed 1""",
@@ -207,7 +209,37 @@ SUPPLY: Final = {
         supply feed 31
         60 board (rests no) → nothing
         70 board (supplied 31, fed 31) → announce power_restored
-        supply feed 31 32 33""",
+        supply feed 31 32 33
+        80 board (supplied 31) → command 3 start 90; completed 3""",
+    "after an emergency stop one servo is fed alone again": """
+        20 board → command 3 start 90; completed 1
+        30 estop
+        40 reset
+        50 leg 3 start 90
+        supply feed 31""",
+    "after stop-servos one servo is fed alone again": """
+        20 board → command 3 start 90; completed 1
+        30 outside begins
+        40 outside ends
+        50 leg 4 start 90
+        supply feed 41""",
+    "after a board that did not answer one servo is fed alone again": """
+        20 board → command 3 start 90; completed 1
+        30 board silent
+        40 board (rests no)
+        50 leg 4 start 90
+        supply feed 41""",
+    "a servo that draws before its start while others are known to rest is stopped with its leg alone": """
+        20 board → command 3 start 90; completed 1
+        30 leg 4 start 90 → nothing
+        supply feed 31 32 33 41 42 43
+        40 board (fed 31 32 33, drew 41, rests no) → watchdog 4 stop; rejected 2 no_power
+        running 31 32 33
+        supply cut but 31 32 33; feed 31 32 33""",
+    "a servo that rests shows that the controller obeys though the same report has one that draws": """
+        20 board (drew 31, fed none) → watchdog 3 stop; rejected 1 no_power
+        30 leg 4 start 90 → nothing
+        supply feed 41 42 43""",
     "a bus fault cuts all power": """
         20 fail → rejected 1 bus_fault; announce bus_fault; announce power_cut
         supply cut; feed none""",
@@ -240,3 +272,16 @@ SUPPLY: Final = {
         supply feed 32""",
 }
 test_a_scene_of_the_supply = scene_test(SUPPLY, UNTRUSTED)
+
+
+def test_a_fed_robot_goes_the_usual_way_until_a_servo_is_refused() -> None:
+    steps = play(FED)
+    assert steps.supervisor.usual_ns > 0
+    steps.play("20 board (refused 12)")
+    assert steps.supervisor.usual_ns == 0
+
+
+def test_a_cut_concerns_all_legs() -> None:
+    steps = play(f"{FED} 20 estop")
+    (cut,) = [each for each in steps.announced if each.kind is Kind.POWER_CUT]
+    assert cut.legs == tuple(LEGS)
