@@ -45,6 +45,12 @@ def test_three_slots_are_kept_and_used_a_quarter_of_a_period_apart() -> None:
     assert sent_at(100, [1000, 1001, 1026, 1051, 1052]) == [1000, 1025, 1050, 1100]
 
 
+def test_before_the_first_frame_the_bucket_is_full() -> None:
+    """Also for the longest period, and a clock that begins at 0."""
+    quarters_ns = [0, NS_PER_S // 4, NS_PER_S // 2]
+    assert sent_at(NS_PER_S, quarters_ns) == quarters_ns
+
+
 @given(st.integers(2, 101), st.data())
 def test_in_the_long_run_more_than_the_rate_gets_exactly_the_rate(period_ns: int, data: st.DataObject) -> None:
     """As soon as the bucket is empty, one frame in every period, to the nanosecond."""
