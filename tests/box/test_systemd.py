@@ -16,7 +16,7 @@ from tests.box.box import Unit
 from tests.box.installed import CONFIGURATION, NAME, REPOSITORY, STOPS, InstalledGateway, wait_for_stops
 from tests.hil.bed import SYSTEM_PYTHON
 from tests.support.child import Child
-from tests.support.mcap_file import checked, read
+from tests.support.recordings import checked, read
 
 pytestmark = pytest.mark.systemd
 

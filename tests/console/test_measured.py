@@ -16,7 +16,7 @@ from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Battery, Telemetry
 from tests.console.browser import CHANGES, Visitor
 from tests.support.heard import servos_on, states
-from tests.support.measuring import LEANING, measures
+from tests.support.published import LEANING, measures
 
 pytestmark = pytest.mark.browser
 

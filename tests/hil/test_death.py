@@ -24,8 +24,8 @@ from schemas.telemetry import Cause
 from tests.benchmarks.processes import publishing
 from tests.hil.bed import SpiTestbed, Transfer
 from tests.hil.wire import EACH_FRAMING, STOPS, Replay, Wire, moving, opening_of, settings_for
+from tests.support.controllers import on_wire
 from tests.support.gateway_process import COMMAND, dialling, free_port, write_settings
-from tests.support.transfers import on_wire
 
 pytestmark = [pytest.mark.hil, pytest.mark.alone]
 

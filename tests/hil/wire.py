@@ -9,9 +9,8 @@ import pytest
 from gateway.model.frames import STOP, STOP_REPEATS, ZERO, Framing, OneLeg, OneServo, Op, ServoOp, decode, stop_leg
 from schemas.robot import LEGS, SERVO_IDS
 from tests.hil.bed import SpiTestbed, Transfer
-from tests.support.controllers import Controller
+from tests.support.controllers import Controller, on_wire, preamble_of
 from tests.support.gateway_process import Gateway
-from tests.support.transfers import on_wire, preamble_of
 
 STOPS = [stop_leg(leg).data.hex() for leg in LEGS]
 """Stops for all six legs, as every start, end and emergency stop writes them."""

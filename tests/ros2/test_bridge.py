@@ -13,7 +13,7 @@ from gateway.people.ros2.messages import WARN, DiagnosticArray, JointState, Stri
 from gateway.people.ros2.robot import MEASURED
 from schemas import keys
 from schemas.telemetry import Kind, Mode
-from tests.support import measuring
+from tests.support import published
 from tests.support.bridged import LONG_S, WALKING, clean, commanded, does, keeps, resting
 from tests.support.child import Child
 from tests.support.gateway_process import Gateway
@@ -90,13 +90,13 @@ def test_ros_itself_reads_what_the_robot_measures_and_rubbish_ends_nothing(peer:
     for topic, kind in MEASURED.items():
         peer.subscribe(f"/hexapod/{topic}", kind)
     watcher.publish(keys.TELEMETRY, {"battery": "full"})
-    with measuring.measures(watcher, measuring.MEASURED):
+    with published.measures(watcher, published.MEASURED):
         battery, imu, temperature, feet = (peer.next(f"/hexapod/{topic}") for topic in MEASURED)
     assert battery.percentage == pytest.approx(0.8)
     assert math.isnan(battery.current)
     assert (imu.header.frame_id, imu.linear_acceleration.z) == ("base", 9.81)
     assert temperature.temperature == 31.5
-    assert feet.data == measuring.MEASURED.feet
+    assert feet.data == published.MEASURED.feet
 
 
 # ---- nothing moves unasked

@@ -14,7 +14,7 @@ from schemas.telemetry import Kind, Mode
 from tests.support.bridged import GEOMETRY, WALKING, does, keeps, resting, strides
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events, frames, running
-from tests.support.measuring import MEASURED, measures
+from tests.support.published import MEASURED, measures
 from tests.support.rclpy_peer import COMMANDS, DIAGNOSTICS, DOMAIN, RclpyBridge, RclpyPeer, needs_rclpy
 
 pytestmark = needs_rclpy

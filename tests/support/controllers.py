@@ -1,4 +1,4 @@
-"""The simulated controllers, with what a person at one sees and does."""
+"""The simulated controllers, with what a person at one sees and does; what is to be seen on the wire."""
 
 import random
 import time
@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from gateway.errors import SpiError
-from gateway.model.frames import Framing
+from gateway.model.frames import Frame, Framing
 from gateway.simulation.controller import SimulatedController, SimulatedServos
 from gateway.simulation.elkapod import GARBAGE, SimulatedElkapod
 
@@ -182,3 +182,15 @@ class FaultyController(Controller):
         super().take(data)
         if self.all_off_ns is None and not self.energised:
             self.all_off_ns = self._clock()
+
+
+def on_wire(framing: Framing, *frames: Frame | bytes) -> list[bytes]:
+    """Return the transfers that carry these frames, in order: where the framing wants it, each behind its length."""
+    written = [frame if isinstance(frame, bytes) else frame.data for frame in frames]
+    announced = framing is Framing.LENGTH_PREFIXED
+    return [data for frame in written for data in ((bytes((len(frame),)), frame) if announced else (frame,))]
+
+
+def preamble_of(framing: Framing) -> list[bytes]:
+    """Return the zeros that synchronise a controller, each in a transfer of its own; none for PLAIN."""
+    return [b"\0"] * 16 if framing is Framing.LENGTH_PREFIXED else []

@@ -50,12 +50,10 @@ from gateway.robot.core.stops import Repeats, StopSchedule
 from gateway.robot.core.supervisor import Supervisor
 from schemas.calibration import CalibrationCommand
 from schemas.telemetry import Kind, Mode, Reason
-from tests.support.backlog_history import Rhythm
-from tests.support.buttons_history import ButtonsHistory
 from tests.support.calibration_history import CalibrationHistory
 from tests.support.history import STOP_SERVOS, Violation, cloned, demand, numbered, speed_age_ns
-from tests.support.lease_history import LeaseHistory
 from tests.support.oracle import Oracle
+from tests.support.request_history import ButtonsHistory, LeaseHistory, Rhythm
 from tests.support.small_robots import Configuration
 from tests.support.transitions import TRANSITIONS
 

@@ -35,6 +35,7 @@ from gateway.robot.core.supervisor import Supervisor
 from schemas.telemetry import Cause, Kind, Reason
 from tests.support.history import (
     CLOSED,
+    LandingHistory,
     announced,
     change_hands,
     demand,
@@ -44,9 +45,9 @@ from tests.support.history import (
     judge_halts,
     judge_results,
     rejections_of,
+    stepped,
     supply_of,
 )
-from tests.support.motion import LandingHistory, stepped
 from tests.support.robot_history import RobotHistory
 
 

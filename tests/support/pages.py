@@ -1,4 +1,4 @@
-"""Commands that pages and messages contain: out of code blocks, and parsed by the program's own parser."""
+"""Commands that pages and messages contain, parsed by the program's own parser; the metrics page and its list."""
 
 import ast
 import re
@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import click
+from prometheus_client.parser import text_string_to_metric_families
 
 from tests.support.command import program
 
@@ -125,3 +126,26 @@ def _parse(words: list[str]) -> None:
             return
         name, command, rest = command.resolve_command(context, left)
         context = command.make_context(name, rest, parent=context)
+
+
+Described = set[tuple[str, str, frozenset[str]]]
+_DOCS: Final = Path(__file__).parents[2] / "docs" / "recordings.md"
+_OF: Final = re.compile(r"^For a robot ", re.MULTILINE)
+
+
+def documented(robot: str = "") -> Described:
+    """Return what the docs list for every robot, or for one "that measures" or "with a power board"."""
+    always, *further = _OF.split(_DOCS.read_text())
+    (section,) = [each for each in further if each.startswith(robot)] if robot else [always]
+    rows = re.findall(r"^\| `((?:hexapod|process)_\w+)` \| (\w+) \| (.*?) \|", section, re.MULTILINE)
+    return {(name, kind, frozenset(re.findall(r"`(\w+)`", labels))) for name, kind, labels in rows}
+
+
+def described(page: str) -> Described:
+    """Return what a page has."""
+    found = set()
+    for each in text_string_to_metric_families(page):
+        labels = frozenset(label for sample in each.samples for label in sample.labels) - {"le"}
+        name = f"{each.name}_total" if each.type == "counter" else each.name
+        found.add((name, "info" if name.endswith("_info") else each.type, labels))
+    return found

@@ -21,12 +21,18 @@ from gateway.robot.core.events import (
 from gateway.robot.core.rules import Rules
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Kind, Mode, Reason
-from tests.support.backlog_history import BacklogHistory
-from tests.support.buttons_history import ButtonsHistory
 from tests.support.calibration_history import CalibrationHistory
-from tests.support.history import CLOSED, LegHistory, ServoHistory, cloned, demand, is_announced, supply_of
-from tests.support.lease_history import LeaseHistory
-from tests.support.motion import LandingHistory
+from tests.support.history import (
+    CLOSED,
+    LandingHistory,
+    LegHistory,
+    ServoHistory,
+    cloned,
+    demand,
+    is_announced,
+    supply_of,
+)
+from tests.support.request_history import BacklogHistory, ButtonsHistory, LeaseHistory
 
 
 class BodyHistory:

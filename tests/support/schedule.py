@@ -25,7 +25,6 @@ FOLDERS: Final[Mapping[str, tuple[str, ...]]] = {
     "attack": (),
     "zenoh": (),
     "walking": ("nightly",),
-    "falls": ("nightly",),
     "mutants": ("full",),
     "unit": (),
     "search": ("full",),

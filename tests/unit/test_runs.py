@@ -68,7 +68,7 @@ def test_what_is_named_is_there() -> None:
         ("zenoh/test_a.py", "pytestmark = pytest.mark.full", ALL, False),
         ("zenoh/test_a.py", "pytestmark = [\n    pytest.mark.hil,\n    pytest.mark.nightly,\n]", ALL, True),
         ("hil/test_a.py", "", TEST, True),
-        ("falls/test_a.py", "", ALL, True),
+        ("walking/test_a.py", "", ALL, True),
         ("zenoh/test_a.py", "", "alone and not nightly", True),
         ("zenoh/test_a.py", "@pytest.mark.alone\ndef test_a(): ...", "alone and not nightly", False),
         ("net/data.json", "", "attended", False),

@@ -13,7 +13,7 @@ from tests.support.child import Child
 from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.heard import bodies, events
-from tests.support.mcap_file import read
+from tests.support.recordings import read
 
 pytestmark = pytest.mark.full
 

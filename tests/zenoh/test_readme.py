@@ -1,28 +1,37 @@
-"""README is true: its program runs, its commands exist, its keys are the keys."""
+"""README is true, and the lines that a newcomer or a technician copies from the terminal run as they are printed."""
 
 import json
+import os
 import queue
 import re
+import signal
+import socket
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
+from gateway.client import Client
 from gateway.people.client.payloads import leg_payload
 from schemas import keys
 from schemas.telemetry import Event, Kind
-from tests.support.command import run_here
-from tests.support.gateway_process import Gateway
+from tests.support.child import Child
+from tests.support.command import parse, run_here
+from tests.support.console_process import LINK
+from tests.support.gateway_process import COMMAND, READY, Gateway, free_port
+from tests.support.heard import frames
 from tests.support.pages import blocks, parse_commands
-
-pytestmark = pytest.mark.full
+from tests.support.runs import MARK, Run
+from tests.support.waiting import wait_until
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
 ROBOT = (ROOT / "docs" / "robot.md").read_text()
 
 
+@pytest.mark.full
 def test_the_first_payload_and_the_python_example_work(tmp_path: Path) -> None:
     (code,) = blocks(README, "python")
     (payload,) = re.findall(r"^\| `hexapod/leg/[^`]+` \| in \| `([^`]+)` \|", README, re.MULTILINE)
@@ -41,6 +50,7 @@ def test_the_first_payload_and_the_python_example_work(tmp_path: Path) -> None:
         assert state.watchdog.expirations == 0, "a first program leaves nothing to the watchdog"
 
 
+@pytest.mark.full
 def test_the_second_terminal_works_as_printed(tmp_path: Path) -> None:
     """Its lines, in a shell whose PATH has neither the command nor its Python; only the endpoint is this test's."""
     lines = next(block for block in blocks(README, "console") if "source .venv" in block).splitlines()
@@ -65,6 +75,7 @@ def test_the_second_terminal_works_as_printed(tmp_path: Path) -> None:
             assert client.state().commands.accepted > 0
 
 
+@pytest.mark.full
 def test_the_walk_walks(tmp_path: Path) -> None:
     (code,) = blocks((ROOT / "docs" / "walking.md").read_text(), "python")
     with Gateway(tmp_path, {"watchdog": {"timeout_ms": 10_000}, "lease": {"ttl_ms": 10_000}}) as gateway:
@@ -77,6 +88,7 @@ def test_the_walk_walks(tmp_path: Path) -> None:
             assert client.state().commands.rejected == 0
 
 
+@pytest.mark.full
 def test_the_messages_of_a_robot_that_does_not_move_are_real(tmp_path: Path) -> None:
     """Those that a gateway without a fault can be brought to say; docs/robot.md has each, … for what varies."""
     with Gateway(tmp_path) as gateway:
@@ -104,6 +116,7 @@ def test_the_messages_of_a_robot_that_does_not_move_are_real(tmp_path: Path) -> 
         assert any(re.fullmatch(".*".join(map(re.escape, row)), message) for row in rows), message
 
 
+@pytest.mark.full
 def test_the_keys_are_the_keys() -> None:
     table = set(re.findall(r"^\| `(hexapod/[^`]+)` \|", README, re.MULTILINE))
     commands = {keys.LEGS_COMMAND, keys.ESTOP, keys.RESET}
@@ -114,6 +127,7 @@ def test_the_keys_are_the_keys() -> None:
 PAGES = ["README.md", *(f"docs/{page}.md" for page in ("quickstart", "driving", "recordings", "robot", "certificates"))]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("path", [*PAGES, "docs/stops.md"])
 def test_each_command_to_copy_is_the_programs(path: str) -> None:
     """Each with its options and values: a console's line without its remark, and a command alone in `backticks`."""
@@ -123,3 +137,65 @@ def test_each_command_to_copy_is_the_programs(path: str) -> None:
     texts += re.findall(r"`((?:sudo )?hexapod-gateway [^`…]+)`", page)
     found = [words for text in texts for words in parse_commands(re.split("[>]", text)[0])]
     assert len(found) >= 8
+
+
+REPOSITORY = Path(__file__).parents[2]
+
+
+def test_make_run_keeps_an_incident_finds_a_port_and_ends_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With port 8080 taken; what it prints at last is where the console is. The gateway goes on without the console."""
+    monkeypatch.setenv(MARK, os.environ[MARK])  # as it was, afterwards
+    run = Run()
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    env = {**os.environ, "XDG_STATE_HOME": str(tmp_path), "HEXAPOD_ZENOH__LISTEN": f'["{endpoint}"]'}
+    for name in ("STATE_DIRECTORY", "MAKELEVEL"):  # below another make it would print which folder it enters
+        env.pop(name, None)
+    start = ["make", "--old-file", f"{sys.prefix}/run", "run", f"VENV={sys.prefix}"]
+    with socket.socket() as other:
+        with suppress(OSError):  # somebody else may have it already
+            other.bind(("127.0.0.1", 8080))
+            other.listen()
+        child = Child(["setsid", *start], env, cwd=REPOSITORY)
+        try:
+            child.wait_for_output(READY)
+            address = child.wait_for_output(LINK).removeprefix(LINK)
+            port = int(address.removeprefix("http://127.0.0.1:").partition("/")[0])
+            assert port > 8080
+            child.wait_for_output(f"Port 8080 is taken by another program, so the console listens on {port}.")
+            assert child.stdout.splitlines()[-1].startswith(LINK)
+            walk = child.wait_for_output("or, from the keyboard: ")
+            assert walk.rstrip().endswith(f"bin/hexapod-gateway walk --connect {endpoint}")
+            child.wait_for_output("Try, in a second terminal: ")
+            lines = child.stdout.splitlines()
+            begins = ("Try, in a second terminal: ", "or, from the keyboard: ", "For a browser: ")
+            commands = [line for line in lines if line.startswith(begins)]
+            assert [begin for line in lines for begin in (READY, LINK) if line.startswith(begin)] == [READY, LINK]
+            assert len(commands) == len(begins) == len(lines) - 2  # in any order: each program writes its own
+            for line in commands:
+                parse(line.partition(": ")[2], called=f"{sys.prefix}/bin/hexapod-gateway")
+            with Client(endpoint, timeout_s=5) as client:
+                seen = frames(client)
+                assert client.start_leg(3, 90, 45, 120).accepted
+                seen.wait(lambda frame: frame.cause == "watchdog")
+            again = [sys.executable, "-m", "gateway.onboard.try_out", "no"]
+            second = subprocess.run(again, env=env, capture_output=True, text=True, check=False)
+            taken = f"hexapod-gateway: {endpoint} is taken by another program"
+            assert (second.returncode, second.stdout, second.stderr.count("\n")) == (4, "", 1), second
+            assert second.stderr.startswith(taken)
+            command = [*COMMAND, "check", "--connect", endpoint]
+            told = subprocess.run(command, env=env, capture_output=True, text=True, check=True).stdout
+            assert not re.search("^(failure|warning  SPI)", told, re.MULTILINE), told
+            assert told.splitlines()[-1].startswith("This machine can reach the gateway")
+            command = [*COMMAND, "incidents", "show", "last"]
+            assert "leg 3" in subprocess.run(command, env=env, capture_output=True, text=True, check=True).stdout
+            (console,) = [pid for pid in run.processes() if b"\0console\0" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+            os.kill(console, signal.SIGKILL)
+            with Client(endpoint, timeout_s=5) as client:
+                assert client.state().mode == "idle"
+            child.terminate()
+            child.wait(20)
+            assert "Traceback" not in child.stderr
+            wait_until(lambda: not run.processes(), "all have ended: make itself does not wait", 10)
+        finally:
+            run.close()
+            child.close()

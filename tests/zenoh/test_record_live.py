@@ -32,8 +32,8 @@ from tests.support.child import Child
 from tests.support.fixtures import client_fixture, gateway_fixture
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.heard import Heard, events, frames, states
-from tests.support.mcap_file import about, checked, whole
-from tests.support.measuring import MEASURED
+from tests.support.published import MEASURED
+from tests.support.recordings import about, checked, whole
 from tests.support.ros2_messages import decode
 from tests.support.waiting import meanwhile
 from tests.unit.people.test_recordings import drawn_in, positions, recorded

@@ -1,8 +1,9 @@
-"""What is released: built twice, equal to the byte."""
+"""What is released: built twice, equal to the byte; and the command of docs/robot.md for a download."""
 
 import io
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -15,8 +16,7 @@ import pytest
 
 from release.build import ROOT, UV
 from release.documents import EXTRAS
-
-pytestmark = pytest.mark.nightly
+from release.sums import SUMS, sign, write_sums
 
 LEFT_OUT = shutil.ignore_patterns(".git", ".venv", "__pycache__", ".*_cache", "dist", "build", "*.egg-info", "tests")
 WHEN = "1700000000"
@@ -49,6 +49,7 @@ def twice(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, bytes], d
         return released(first, 0o022, 1_600_000_000), begun.result()
 
 
+@pytest.mark.nightly
 def test_two_builds_are_equal_to_the_byte(twice: tuple[dict[str, bytes], dict[str, bytes]]) -> None:
     first, second = twice
     assert sorted(first) == sorted(second)
@@ -59,6 +60,7 @@ def test_two_builds_are_equal_to_the_byte(twice: tuple[dict[str, bytes], dict[st
     assert kinds == ["SHA256SUMS", "deb", "deb", "gz", "json", "whl"]
 
 
+@pytest.mark.nightly
 def test_the_wheel_has_both_packages_their_types_the_schemas_the_licence_and_what_a_robot_needs(
     twice: tuple[dict[str, bytes], dict[str, bytes]],
 ) -> None:
@@ -72,6 +74,7 @@ def test_the_wheel_has_both_packages_their_types_the_schemas_the_licence_and_wha
     assert not [each for each in names if each.startswith(("release/", "tests/"))]
 
 
+@pytest.mark.nightly
 def test_the_sbom_names_every_package_of_the_lock_with_its_hashes(
     twice: tuple[dict[str, bytes], dict[str, bytes]],
 ) -> None:
@@ -87,3 +90,50 @@ def test_the_sbom_names_every_package_of_the_lock_with_its_hashes(
     }
     in_lock = {part.split("sha256:")[1] for part in lock.split() if "sha256:" in part}
     assert in_lock <= hashes
+
+
+PACKAGE = "hexapod-gateway_1.1.0_arm64.deb"
+
+
+@pytest.fixture
+def download(tmp_path: Path) -> Path:
+    """Return a package with the sums and the signature of a release that has more files."""
+    key = tmp_path / "key"
+    subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", key], check=True)
+    folder = tmp_path / "download"
+    folder.mkdir()
+    for name in (PACKAGE, "other"):
+        (folder / name).write_bytes(name.encode())
+    write_sums(folder, list(folder.iterdir()))
+    sign(folder, key)
+    (folder / "other").unlink()
+    return folder
+
+
+def check(folder: Path) -> tuple[bool, str]:
+    """Run the page's command there: whether all is well, and what it prints."""
+    found = re.search(r"`(ssh-keygen -Y .*)`", (ROOT / "docs" / "robot.md").read_text())
+    assert found is not None
+    done = subprocess.run(["bash", "-c", found[1]], cwd=folder, capture_output=True, text=True, check=False)
+    return done.returncode == 0, done.stdout + done.stderr
+
+
+def test_the_command_of_the_readme(download: Path) -> None:
+    shown = subprocess.run(
+        ["ssh-keygen", "-lf", download.parent / "key"], capture_output=True, text=True, check=True
+    ).stdout
+    ok, said = check(download)
+    assert ok, said
+    assert f'Good "hexapod-gateway-release" signature with ED25519 key {shown.split()[1]}' in said
+    assert f"{PACKAGE}: OK" in said
+
+    (download / PACKAGE).write_bytes(b"changed")
+    ok, said = check(download)
+    assert not ok
+    assert f"{PACKAGE}: FAILED" in said
+    write_sums(download, [download / PACKAGE])
+    ok, said = check(download)
+    assert not ok
+    assert "Signature verification failed" in said or "incorrect signature" in said
+    (download / f"{SUMS}.sig").unlink()
+    assert not check(download)[0]

@@ -16,7 +16,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from gateway import __version__, certs
 from gateway.model.frames import PROTOCOL_VERSION
 from tests.support.gateway_process import free_port
-from tests.support.metrics_page import described, documented
+from tests.support.pages import described, documented
 from tests.support.secured import Secured
 
 

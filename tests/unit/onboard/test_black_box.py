@@ -21,7 +21,7 @@ from gateway.robot.blackbox.ring import RecordRing
 from gateway.robot.host.ownership import Ownership
 from gateway.robot.settings import Settings
 from tests.support.command import run_here
-from tests.support.full_disk import disk_that_takes
+from tests.support.recordings import disk_that_takes
 from tests.support.robot import WALL_NS
 
 NAME = "20260921-141320-123-watchdog"

@@ -19,7 +19,7 @@ from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Reason
 from tests.support.command import Ended, run_here
 from tests.support.power import FedRobot
-from tests.support.ring import put
+from tests.support.recordings import put
 from tests.support.robot import Robot, leg, servo
 
 INCIDENT = "20260921-141320-123"

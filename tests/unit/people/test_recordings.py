@@ -23,10 +23,8 @@ from gateway.people.ros2.messages import Message
 from schemas import keys
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import ConfigReport, Kind
-from tests.support.full_disk import disk_that_takes
-from tests.support.mcap_file import checked
-from tests.support.measuring import MEASURED
-from tests.support.published import event, state
+from tests.support.published import MEASURED, event, state
+from tests.support.recordings import checked, disk_that_takes
 from tests.support.ros2_messages import decode
 
 WIRE: Final = Path(__file__).parents[2] / "data" / "wire"

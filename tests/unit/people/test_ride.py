@@ -17,7 +17,7 @@ from gateway.people.walking.ride import GIVES_UP_S, USUAL_SILENCES, Phase, Ride,
 from gateway.people.walking.robot import FEED_S, Robot
 from schemas.robot import LEGS
 from schemas.telemetry import Telemetry
-from tests.support.measuring import MEASURED
+from tests.support.published import MEASURED
 from tests.support.ridden import FED_SINGLY, ROBOT, WHOLE, Ridden, standing
 from tests.support.walked import TICK_S
 

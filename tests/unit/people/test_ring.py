@@ -29,9 +29,8 @@ from gateway.robot.runtime.calibrations import Calibrations
 from schemas import keys
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Kind
-from tests.support.mcap_file import about, checked, read
-from tests.support.measuring import AT_REST, ON_ITS_SIDE
-from tests.support.ring import parse, put
+from tests.support.published import AT_REST, ON_ITS_SIDE
+from tests.support.recordings import about, checked, parse, put, read
 from tests.support.robot import LEG_3, WALL_NS, Robot, leg
 from tests.unit.people.test_recorder import recorded
 from tests.unit.people.test_recordings import drawn_in, positions

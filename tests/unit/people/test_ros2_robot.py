@@ -24,7 +24,7 @@ from gateway.people.walking.motion import Odometry, Velocity
 from schemas.keys import CALIBRATION, FRAME, STATE
 from schemas.robot import JOINTS, SERVO_IDS
 from schemas.telemetry import Telemetry
-from tests.support import measuring
+from tests.support import published
 from tests.support.ros2_messages import STORE, Duration
 
 GEOMETRY: Final = load()
@@ -103,7 +103,7 @@ def as_rosbags_reads(found: Telemetry) -> dict[str, Any]:
 
 
 def test_what_it_measures_is_in_ros_2s_units_and_what_nobody_knows_is_nan() -> None:
-    found = as_rosbags_reads(measuring.MEASURED)
+    found = as_rosbags_reads(published.MEASURED)
     assert found.keys() == MEASURED.keys()
     battery, imu, temperature = found["battery_state"], found["imu/data"], found["temperature"]
     assert (battery.voltage, battery.percentage, battery.present) == (pytest.approx(7.4), pytest.approx(0.8), True)
@@ -115,7 +115,7 @@ def test_what_it_measures_is_in_ros_2s_units_and_what_nobody_knows_is_nan() -> N
     covariances = (imu.orientation_covariance, imu.angular_velocity_covariance, imu.linear_acceleration_covariance)
     assert [each.tolist() for each in covariances] == [[0.0] * 9] * 3
     assert (temperature.temperature, temperature.variance) == (31.5, 0.0)
-    assert found["foot_forces"].data.tolist() == list(measuring.MEASURED.feet or ())
+    assert found["foot_forces"].data.tolist() == list(published.MEASURED.feet or ())
     (legs,) = found["foot_forces"].layout.dim
     assert (legs.label, legs.size, legs.stride) == ("leg", 6, 6)
     for each in (battery, imu, temperature):
@@ -128,7 +128,7 @@ def test_what_it_measures_is_in_ros_2s_units_and_what_nobody_knows_is_nan() -> N
     [("battery", "battery_state"), ("imu", "imu/data"), ("temperature_c", "temperature"), ("feet", "foot_forces")],
 )
 def test_what_it_does_not_measure_is_not_published(left_out: str, topic: str) -> None:
-    found = as_rosbags_reads(measuring.MEASURED.model_copy(update={left_out: None}))
+    found = as_rosbags_reads(published.MEASURED.model_copy(update={left_out: None}))
     assert found.keys() == MEASURED.keys() - {topic}
 
 

@@ -16,8 +16,7 @@ from gateway.robot.spi.bus import LONGEST_NS, ZERO_PAUSE_US, Bus
 from gateway.robot.spi.guard import IllegalTransferError
 from schemas.robot import LEGS, SERVO_IDS
 from tests.support.bus_scenes import MOVES, MS, STOPS, Bench, wire_ns
-from tests.support.controllers import Controller, FaultyController
-from tests.support.transfers import on_wire
+from tests.support.controllers import Controller, FaultyController, on_wire
 
 PREFIXED, PLAIN = Framing.LENGTH_PREFIXED, Framing.PLAIN
 START_11 = OneServo(11, ServoOp(Op.START, 6_00))

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from gateway.model.frames import STOP, FrameError, Framing, OneLeg, OneServo, Op, ServoOp, decode, stop_leg
 from gateway.robot.spi.guard import IllegalTransferError, check
-from tests.support.transfers import on_wire
+from tests.support.controllers import on_wire
 from tests.unit.model.test_frames import ILLEGAL, bytes_near_a_frame, frames
 
 PREFIXED = Framing.LENGTH_PREFIXED

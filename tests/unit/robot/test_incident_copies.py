@@ -20,8 +20,7 @@ from gateway.robot.blackbox.ring import RecordRing
 from gateway.robot.settings import Settings
 from schemas import keys
 from schemas.telemetry import Mode
-from tests.support.full_disk import disk_that_takes
-from tests.support.ring import parse
+from tests.support.recordings import disk_that_takes, parse
 from tests.support.robot import LEG_3, Robot, leg, servo
 from tests.support.waiting import wait_until
 from tests.unit.people.test_recorder import contents, recorded

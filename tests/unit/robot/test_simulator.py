@@ -17,8 +17,7 @@ from gateway.simulation.board import MEASURE_NS, PASS_NS, SimulatedBoard
 from gateway.simulation.board_port import HOLDS_MA, WAITS_MA, SimulatedAdapter, SimulatedDraw, frame_of
 from gateway.simulation.controller import pulse_us
 from schemas.robot import SERVO_IDS
-from tests.support.controllers import Controller, Elkapod
-from tests.support.transfers import on_wire
+from tests.support.controllers import Controller, Elkapod, on_wire
 from tests.unit.model.test_frames import bytes_near_a_frame, frames
 
 MS = 1_000_000  # ns

@@ -19,9 +19,8 @@ from gateway.robot.spi.bus import Bus
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import ConfigReport, Kind, PowerReport, ServoTelemetry, Supply, Telemetry
-from tests.support.measuring import AT_REST
-from tests.support.metrics_page import described, documented
-from tests.support.published import WALL
+from tests.support.pages import described, documented
+from tests.support.published import AT_REST, WALL
 from tests.support.robot import LEG_3, START, Robot, leg, started
 from tests.unit.people.test_recorder import contents, recorded
 

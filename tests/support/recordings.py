@@ -1,8 +1,11 @@
-"""A recording as mcap's own reader has it, each message held against the model of what is published there."""
+"""Recordings as mcap's own reader has them; a black box's bytes as records; a disk that takes no more."""
 
 import json
+import resource
+import tempfile
+import zlib
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,6 +15,8 @@ from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 from pydantic import BaseModel
 
+from gateway.model import black_box as form
+from gateway.people.incidents import ring_reader
 from gateway.people.incidents.messages import RECORDER, CommandInBox, FrameInBox, Note, RecordedMessage
 from gateway.people.recorder.drawing import DRAWN
 from gateway.people.recorder.record import METADATA, REPORTS
@@ -61,3 +66,28 @@ def about(path: Path) -> dict[str, Any]:
     with path.open("rb") as file:
         found = {each.name: each.metadata for each in make_reader(file).iter_metadata()}
     return {name: json.loads(value) for name, value in found.get(METADATA, {}).items()}
+
+
+def parse(data: bytes) -> ring_reader.Records:
+    """Return the records, oldest first. Raises NoRingError."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "ring")
+        path.write_bytes(data)
+        return ring_reader.read(path)
+
+
+def put(buffer: Any, offset: int, kind: int, sequence: int, ns: int, rest: bytes) -> None:
+    """Write one slot, as `RecordRing.append` does."""
+    body = form.pack_head(len(rest) + form.HEAD_BYTES, kind, 0, sequence, ns) + rest
+    form.pack_slot_into(buffer, offset, zlib.crc32(body), body)
+
+
+@contextmanager
+def disk_that_takes(size: int) -> Iterator[None]:
+    """Meanwhile a write beyond so many bytes of a file fails, as on a full disk; Python ignores SIGXFSZ."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)

@@ -1,1 +1,0 @@
-"""What a stop does to a robot that stands or walks."""
