@@ -93,7 +93,8 @@ class Command(Request):
     """Whether a newer command has replaced one of its targets."""
 
     def __post_init__(self) -> None:
-        self.by_leg = self.by_leg or targets_by_leg(self.targets)
+        if not self.by_leg:
+            self.by_leg = targets_by_leg(self.targets)
         self.left = len(self.targets)
         self.moves = tuple([target for target in self.targets if target[1].op is not OP_STOP])
 

@@ -178,11 +178,12 @@ def words_of_stop(received: Received) -> bytes | None:
     """
     if received.verb is _DELETE:
         return b""
-    key = received.target
-    if key is None or not TARGETS[key.target].servos[key.number]:
+    key, payload = received.target, received.payload
+    if key is None:
         return None
-    by_key = TARGETS[key.target].read is None or received.size > MAX_PAYLOAD_BYTES
-    return received.payload if by_key or _may_contain_stop(received.payload) else None
+    row = TARGETS[key.target]
+    by_key = row.read is None or received.size > MAX_PAYLOAD_BYTES
+    return payload if row.servos[key.number] and (by_key or _may_contain_stop(payload)) else None
 
 
 def is_json(encoding: str) -> bool:

@@ -254,24 +254,25 @@ class Legs:
         Return the frames, which complete the command. The frames, and the state after them, are those of `apply` and
         `plan`, but for `due_ns`, which may be early. Return None, and change nothing, if it is not such a command.
         """
-        sender, limits, found, frames = command.sender, self.limits, list[tuple[Leg, Targets]](), list[Frame]()
+        sender, limits, by_number, servos = command.sender, self.limits, self.by_number, self.servos
         for number, targets in command.by_leg.items():
-            leg = self.by_number[number]
+            leg = by_number[number]
             if leg.steady is None:
                 leg.steady = leg.is_steady()
             if not leg.steady or leg.sender != sender or now_ns < leg.slots.next_ns or len(targets) == 2:
                 return None
-            found.append((leg, targets))
         for servo_id, op in command.targets if limits.limited else ():
             low_cdeg, high_cdeg = limits.free_cdeg[servo_id]
             if not low_cdeg <= op.angle_cdeg <= high_cdeg:
                 return None
         command.left = 0
-        for leg, targets in found:
+        frames: list[Frame] = []
+        for number, targets in command.by_leg.items():
+            leg = by_number[number]
             leg.commanded_ns = now_ns
             leg.slots.take(now_ns)
             for servo_id, op in targets:
-                self.servos[servo_id].moved(op, now_ns)
+                servos[servo_id].moved(op, now_ns)
             frames.append(frame_of(targets))
         return frames if limits.wire is None else list(map(limits.wire.frame, frames))
 

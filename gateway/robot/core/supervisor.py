@@ -233,7 +233,7 @@ class Supervisor:
         lease, token, legs = self.lease, command.lease, self.legs
         if now_ns >= self.usual_ns or instant_ns == legs.stopped_ns or command.rejected is not None:
             return None
-        if not command.targets or len(command.moves) < len(command.targets):
+        if not command.moves or command.moves != command.targets:
             return None
         if (lease.closed or token is not None) and lease.why_not(command) is not None:
             return None

@@ -187,19 +187,18 @@ class Executor:
         self, frames: Sequence[Frame], command: Command, now_ns: int, instant_ns: int
     ) -> Outcome | None:
         """Do what `carry_out` does with the frames of `Supervisor.usual`. Return None if nothing is left to do."""
-        taken = command, now_ns, instant_ns
         if self._follows or self.halts:
-            return self.carry_out(moves_of(command, frames), taken)
+            return self.carry_out(moves_of(command, frames), (command, now_ns, instant_ns))
         report, reports = self.bus.write(frames), self.reports
         if report.fault is not None or report.meddled is not None or report.rejection is not None:
             outcome = Outcome(moves := moves_of(command, frames))
             self._record(moves, report, outcome)
             self._judge(outcome)
-            self._end_all(outcome, taken)
+            self._end_all(outcome, (command, now_ns, instant_ns))
             return outcome
         reports.metrics.frames[_COMMAND] += len(frames)
         reports.metrics.accepted += 1
-        reports.recorder.carried_out(*taken, frames, report.sent[0])
+        reports.recorder.carried_out(command, now_ns, instant_ns, frames, report.sent[0])
         if command.reply is not None:
             self.answer(command, Ack(accepted=True))
         return None

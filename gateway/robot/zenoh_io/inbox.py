@@ -263,7 +263,7 @@ class Inbox(Messages):
         if self._read_all:
             self._read_all = False
             self._poll_later(POLL_AFTER_FLOOD)
-        elif any(count > taken.get(key, 0) for key, count in woken.items()):
+        elif woken != taken and any(count > taken.get(key, 0) for key, count in woken.items()):
             self._poll_later(0)
 
     def _poll_later(self, attempt: int) -> None:
