@@ -304,6 +304,13 @@ def test_angles_are_quarters_of_a_microsecond_and_a_stop_is_0(board: Maestro, ma
         assert board.targets == {0: 2000, 1: 0, 23: 10_000}
 
 
+def test_the_bytes_are_those_of_the_users_guides_example(maestro_kind: type[ServoWire]) -> None:
+    """Chapter 5.e: 1500 µs on channel 2 is 0x84, 0x02, 0x70, 0x2E, and a target of 0 ends the pulses."""
+    wire: Any = maestro_kind({"path": "/dev/null"})
+    assert wire._target(13, 90.0) == bytes([0x84, 0x02, 0x70, 0x2E])
+    assert wire._target(13, None) == bytes([0x84, 0x02, 0x00, 0x00])
+
+
 @pytest.mark.parametrize(("errors", "sentence"), [(b"\x10\0", "the Maestro reports 1000"), (b"", "does not answer")])
 def test_an_error_and_no_answer_are_faults(
     board: Maestro, maestro_kind: type[ServoWire], errors: bytes, sentence: str

@@ -4,6 +4,7 @@ import itertools
 import re
 import ssl
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from datetime import UTC, datetime, timedelta
 from functools import partial
 from pathlib import Path
@@ -83,6 +84,25 @@ def test_stop_all_and_reset(page: Page, other: Page) -> None:
     ack = page.reset(stopped["estop"])["ack"]
     assert (ack["accepted"], ack["reason"]) == (False, "estopped"), "not the one that the other page asked for"
     assert page.reset(again["estop"])["ack"]["accepted"]
+
+
+@pytest.mark.parametrize("place", ["another page", "another console"])
+def test_who_takes_a_leg_from_a_page_is_named(
+    page: Page, other: Page, gateway: Gateway, tmp_path: Path, place: str
+) -> None:
+    with ExitStack() as opened:
+        if place == "another console":
+            console = opened.enter_context(Console(tmp_path, "--connect", gateway.endpoint))
+            other = opened.enter_context(console.page(console.sign_in()))
+        began = datetime.now(UTC)
+        assert page.ask(LEG_3, START)["ack"]["accepted"]
+        assert other.ask(LEG_3, SET)["ack"]["accepted"]
+        taken = page.event("source_changed", since=began)
+        first, second = page.hello["source"], other.hello["source"]
+        named = f"another program named {first!r}" if first == second else first
+        assert (taken["source"], taken["detail"]) == (second, f"leg 3 is commanded by {second}, and was by {named}")
+        assert other.ask(LEG_3, STOP)["ack"]["accepted"]
+        page.state(lambda state: state["mode"] == "idle")
 
 
 # ---- who drives: the lease is one WebSocket's, lives by that page's own requests, and ends with it

@@ -229,3 +229,23 @@ def test_a_rejection_names_the_session_of_its_command(two: tuple[Client, Client]
     first.set_leg(2, *POSE, check=False)
     rejected = happened.wait(lambda event: event.kind == Kind.COMMAND_REJECTED)
     assert (rejected.source, rejected.source_id) == (NAME, first.zid)
+
+
+def test_a_program_that_was_started_anew_is_another_one(gateway: Gateway) -> None:
+    """The first was killed while its leg ran."""
+    program = f"""
+from gateway.client import Client
+robot = Client({gateway.endpoint!r}, source={NAME!r})
+robot.start_leg(1, *{POSE})
+print(robot.zid, flush=True)
+input()
+"""
+    with Child([sys.executable, "-c", program], os.environ) as killed, Client(gateway.endpoint, source=NAME) as anew:
+        before = killed.wait_for_line(0)
+        happened = events(anew)
+        killed.kill()
+        anew.set_leg(1, *POSE)
+        taken = happened.wait(lambda event: event.kind == Kind.SOURCE_CHANGED)
+        assert taken.detail == "leg 1 is commanded by my gait, and was by another program named 'my gait'"
+        assert before != taken.source_id == anew.zid
+        anew.stop()
