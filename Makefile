@@ -8,7 +8,7 @@ DEBIAN_PACKAGES := umockdev gir1.2-umockdev-1.0 python3-gi iproute2 systemd dbus
 # And what only `make nightly` needs: the other two browsers, a display with a window manager for WebKit, other Debians, containers, and
 # arm64.
 nightly: DEBIAN_PACKAGES += webkit2gtk-driver xvfb matchbox-window-manager firefox-esr debootstrap \
-	podman runc qemu-user-static
+	podman runc qemu-user-static ffmpeg
 
 .PHONY: three deb dist lock help run quick test test-all nightly check bench kernel soak mutants schemas docs format clean debian-packages
 

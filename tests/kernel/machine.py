@@ -16,11 +16,16 @@ from typing import Final
 from tests.kernel.parts import CACHE, LIBRARIES, ROOT, Parts, PartsError
 
 LONGEST_S: Final = 900
+VIDEOBUF: Final = "drivers/media/common/videobuf2/videobuf2"
 DRIVERS: Final = (
     "fs/netfs/netfs", "fs/fscache/fscache", "net/9p/9pnet", "drivers/virtio/virtio_ring", "drivers/virtio/virtio",
     "drivers/virtio/virtio_pci_legacy_dev", "drivers/virtio/virtio_pci_modern_dev", "drivers/virtio/virtio_pci",
     "net/9p/9pnet_virtio", "fs/9p/9p", "fs/overlayfs/overlay",
     "net/can/can", "net/can/can-raw", "drivers/net/can/dev/can-dev", "drivers/net/can/vxcan",
+    "drivers/media/rc/rc-core", "drivers/media/cec/core/cec", "drivers/media/mc/mc", "drivers/media/v4l2-core/videodev",
+    *(f"{VIDEOBUF}-{each}" for each in ("common", "memops", "v4l2", "vmalloc", "dma-contig")),
+    "drivers/media/v4l2-core/v4l2-dv-timings", "drivers/media/common/v4l2-tpg/v4l2-tpg",
+    "drivers/media/test-drivers/vivid/vivid",
 )  # fmt: skip
 """In the order in which they need each other."""
 _INIT: Final = """#!/bin/busybox sh

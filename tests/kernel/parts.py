@@ -11,7 +11,7 @@ ROOT: Final = HERE.parents[1]
 CACHE: Final = ROOT / "build" / "kernel"
 MODULE: Final = HERE / "module"
 LIBRARIES: Final = ("usr/lib/x86_64-linux-gnu", "lib/x86_64-linux-gnu")
-_WANTED: Final = ("qemu-system-x86", "seabios", "busybox-static", "linux-headers-amd64")
+_WANTED: Final = ("qemu-system-x86", "seabios", "busybox-static", "linux-headers-amd64", "ustreamer")
 _LEFT_OUT: Final = re.compile(r"systemd|udev|linux-(perf|libc-dev|compiler|headers-amd64)|ipxe")
 """What apt would also install or upgrade, and a machine without a network or a console does without."""
 _OUR_OWN: Final = re.compile(r"^Inst ((?:qemu|seabios|busybox|linux-(?:headers|kbuild))\S*)", re.MULTILINE)
@@ -47,12 +47,13 @@ def prepare(cache: Path = CACHE) -> Parts:
         if shutil.which(tool) is None:
             raise PartsError(f"{tool} is missing; make kernel needs Debian 12 with make and gcc-12")
     root = cache / "root"
-    if not (cache / "unpacked").exists():
+    unpacked = cache / "unpacked"
+    if not unpacked.exists() or unpacked.read_text() != " ".join(_WANTED):
         shutil.rmtree(root, ignore_errors=True)
         root.mkdir(parents=True)
         for package in _download(cache / "debs"):
             _run("dpkg-deb", "--extract", str(package), str(root))
-        (cache / "unpacked").touch()
+        unpacked.write_text(" ".join(_WANTED))
     release = _release(root)
     return Parts(root, release, _build(root, release, cache / "module"))
 

@@ -3,6 +3,7 @@
 It forwards bytes and not TLS, so both ends verify each other's certificate.
 """
 
+import math
 import select
 import socket
 import threading
@@ -19,11 +20,14 @@ _CHUNK: Final = 65536
 class CutLink(Closing):
     """Forwards between a client, which connects to `endpoint`, and the gateway, while it is not cut."""
 
-    def __init__(self, gateway: str, delay_s: float = 0.0) -> None:
+    def __init__(self, gateway: str, delay_s: float = 0.0, bits_a_second: float = math.inf) -> None:
         """`gateway` is its endpoint over TCP, such as "tcp/127.0.0.1:7447" or "tls/192.0.2.7:7447".
 
-        `delay_s`: how long everything is on its way, in either direction.
+        `delay_s`: how long everything is on its way, in either direction. `bits_a_second`: of all connections together.
         """
+        self._s_a_byte = 8 / bits_a_second
+        self._free_s = [0.0, 0.0]
+        """When each direction has sent what it has taken."""
         self._delay_s = delay_s
         protocol, _, address = gateway.partition("/")
         host, _, port = address.rpartition(":")
@@ -64,10 +68,10 @@ class CutLink(Closing):
                 gateway = socket.create_connection(self._gateway, timeout=5)
                 gateway.settimeout(None)
                 self._sockets += [client, gateway]
-                for way in ((client, gateway, self._to_gateway), (gateway, client, self._to_client)):
+                for way in ((client, gateway, self._to_gateway, 0), (gateway, client, self._to_client, 1)):
                     threading.Thread(target=self._forward, args=way, name="cut link", daemon=True).start()
 
-    def _forward(self, source: socket.socket, sink: socket.socket, up: threading.Event) -> None:
+    def _forward(self, source: socket.socket, sink: socket.socket, up: threading.Event, way: int) -> None:
         on_its_way: SimpleQueue[tuple[float, bytes]] = SimpleQueue()
         threading.Thread(target=self._deliver, args=(on_its_way, sink), name="cut link", daemon=True).start()
         data = b"-"
@@ -76,7 +80,8 @@ class CutLink(Closing):
                 select.select([source], [], [])
                 up.wait()  # before it is read: what was sent just before the cut may have passed, nothing later
                 data = source.recv(_CHUNK)
-                on_its_way.put((time.monotonic() + self._delay_s, data))
+                self._free_s[way] = max(self._free_s[way], time.monotonic()) + len(data) * self._s_a_byte
+                on_its_way.put((self._free_s[way] + self._delay_s, data))
 
     def _deliver(self, on_its_way: SimpleQueue[tuple[float, bytes]], sink: socket.socket) -> None:
         with suppress(OSError):  # closed

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Final, NamedTuple
 
 from gateway.model.frames import Framing
-from tests.kernel.inside import batches, failures, power, service
+from tests.kernel.inside import batches, camera, failures, power, service
 
 
 class Scene(NamedTuple):
@@ -46,6 +46,9 @@ SCENES: Final = {
     "power-estop": Scene("socketcan: an emergency stop takes the supply, and is confirmed", power.estop),
     "power-others": Scene("socketcan: masks of other programs on this computer, and stop-servos", power.others),
     "power-down": Scene("socketcan: the interface goes while legs run, and returns", power.down),
+    "camera": Scene(
+        "µStreamer on a camera of the kernel: pictures with their age, and none while it hangs", camera.streams
+    ),
     "bufsiz": Scene(
         "with a buffer of 512 bytes, shorter lists and the same bytes", batches.small_buffer, "spidev.bufsiz=512"
     ),

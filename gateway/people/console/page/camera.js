@@ -106,7 +106,8 @@ export class Camera {
         for (; typeof data === "string"; data = (await next(socket, "onmessage")).data) this.trouble = data;
         const picture = await createImageBitmap(new Blob([data.slice(AGE_BYTES)], { type: "image/jpeg" }));
         if (this.turn !== turn) return;
-        [this.canvas.width, this.canvas.height] = [picture.width, picture.height];
+        const { width, height } = picture;
+        if (this.canvas.width !== width || this.canvas.height !== height) Object.assign(this.canvas, { width, height });
         this.canvas.getContext("2d")?.drawImage(picture, 0, 0);
         picture.close();
         // The picture may have been on its way since it was asked for.
