@@ -4,9 +4,8 @@ Angles are degrees of the servos, velocities metres and radians a second of the 
 measure is 0, since LeRobot's statistics take no NaN.
 """
 
-import logging
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -62,6 +61,9 @@ class Hexapod(Robot):
     def __init__(self, config: HexapodConfig) -> None:
         super().__init__(config)
         self.config, self.cameras = config, make_cameras_from_configs(config.cameras)
+        for camera in self.cameras.values():
+            if "://" in str(getattr(camera, "index_or_path", "")):  # OpenCV sets neither size nor rate of a stream
+                camera.width = camera.height = camera.fps = None
         self._client: Client | None = None
         self._lease: Any = None
         self._walk: Walk | None = None
@@ -168,11 +170,9 @@ class Hexapod(Robot):
         self._walk, self._stream, self._sent = None, None, {}
         for camera in (each for each in self.cameras.values() if each.is_connected):
             camera.disconnect()
-        try:
+        with suppress(GatewayError):  # the servos are stopped already
             if client is not None:
                 client.close()
-        except GatewayError as error:  # the servos are stopped already
-            logging.warning("hexapod: %s", error)
 
     def _connected(self) -> Client:
         if self._client is None:
@@ -180,7 +180,6 @@ class Hexapod(Robot):
         return self._client
 
     def _ended(self, error: GatewayError) -> ConnectionError:
-        logging.error("the episode has ended: %s", error)
         return ConnectionError(f"the episode has ended: {error}")
 
 

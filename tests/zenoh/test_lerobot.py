@@ -17,6 +17,7 @@ from gateway.client import Client
 from schemas.robot import LEGS
 from schemas.telemetry import Kind
 from tests.support import lerobot_protocol
+from tests.support.camera_server import CameraServer
 from tests.support.child import Child
 from tests.support.fixtures import client_fixture, gateway_fixture, patient
 from tests.support.gateway_process import Gateway
@@ -126,13 +127,14 @@ def test_a_camera_keeps_its_url(plug_in: dict[str, Any]) -> None:
 # ---- LeRobot itself
 
 
-def lerobot(command: str, gateway: Gateway, folder: Path, *options: str) -> subprocess.CompletedProcess[str]:
+def lerobot(command: str, gateway: Gateway, folder: Path | None, *options: str) -> subprocess.CompletedProcess[str]:
     """Run a command of LeRobot's, with its dataset in `folder`."""
-    environment = {**os.environ, "HF_HUB_OFFLINE": "1", "HF_LEROBOT_HOME": str(folder / "home")}
-    robot = ("--robot.type=hexapod", f"--robot.endpoint={gateway.endpoint}")
-    data = ("--dataset.repo_id=me/ride", f"--dataset.root={folder / 'ride'}", "--play_sounds=false")
+    robot = ["--robot.type=hexapod", f"--robot.endpoint={gateway.endpoint}"]
+    if folder is not None:
+        robot += ["--dataset.repo_id=me/ride", f"--dataset.root={folder / 'ride'}", "--play_sounds=false"]
+    environment = {**os.environ, "HF_HUB_OFFLINE": "1"}
     return subprocess.run(
-        [LEROBOT / command, *robot, *data, *options], env=environment, capture_output=True, text=True, check=False
+        [LEROBOT / command, *robot, *options], env=environment, capture_output=True, text=True, check=False
     )
 
 
@@ -140,6 +142,7 @@ RECORD: Final = (
     "--teleop.type=hexapod", "--teleop.keys=false", "--dataset.single_task=walk", "--dataset.num_episodes=1",
     "--dataset.fps=30", "--dataset.push_to_hub=false",
 )  # fmt: skip
+SECONDS: Final = ("--fps=30", "--teleop_time_s=5")
 LOAD: Final = """
 import json, sys
 from lerobot.datasets import LeRobotDataset
@@ -147,7 +150,8 @@ from lerobot.robots import Robot
 from lerobot.teleoperators import Teleoperator
 ride = LeRobotDataset("me/ride", root=sys.argv[1])
 found = {"frames": ride.num_frames, "names": ride.features["action"]["names"]}
-found["action"] = ride[len(ride) - 1]["action"].tolist()
+last = ride[len(ride) - 1]
+found["action"], found["picture"] = last["action"].tolist(), [*last["observation.images.front"].shape]
 found["robot"], found["teleoperator"] = (sorted(each.__abstractmethods__) for each in (Robot, Teleoperator))
 print(json.dumps(found))
 """
@@ -156,7 +160,10 @@ print(json.dumps(found))
 @pytest.mark.nightly
 @pytest.mark.skipif(not LEROBOT.exists(), reason="make .venv/lerobot")
 def test_the_released_lerobot_records_loads_and_replays(gateway: Gateway, watcher: Client, tmp_path: Path) -> None:
-    recorded = lerobot("lerobot-record", gateway, tmp_path, *RECORD, "--dataset.episode_time_s=10")
+    with CameraServer() as camera:
+        front = f"{{front: {{type: opencv, index_or_path: '{camera.url}', width: 32, height: 24, fps: 30}}}}"
+        seen = f"--robot.cameras={front}", "--dataset.video=false"
+        recorded = lerobot("lerobot-record", gateway, tmp_path, *RECORD, *seen, "--dataset.episode_time_s=10")
     assert recorded.returncode == 0, recorded.stderr
     with Child([str(LEROBOT / "python"), "-c", LOAD, str(tmp_path / "ride")], os.environ) as child:
         assert child.wait(300) == 0, child.stderr
@@ -164,11 +171,14 @@ def test_the_released_lerobot_records_loads_and_replays(gateway: Gateway, watche
     assert loaded["names"] == [*ACTION]
     assert loaded["action"] == pytest.approx([0.06, 0.04, 0.2, 0.0])
     assert loaded["frames"] > 30
+    assert loaded["picture"] == [3, 24, 32]
     assert tuple(loaded["robot"]) == lerobot_protocol.ROBOT
     assert tuple(loaded["teleoperator"]) == lerobot_protocol.TELEOPERATOR
     written = frames(watcher)
     replayed = lerobot("lerobot-replay", gateway, tmp_path, "--dataset.episode=0")
     assert replayed.returncode == 0, replayed.stderr
+    driven = lerobot("lerobot-teleoperate", gateway, None, "--teleop.type=hexapod", "--teleop.keys=false", *SECONDS)
+    assert driven.returncode == 0, driven.stderr
     assert len(last_angles(written.all)) == 18
     assert watcher.state().lease.holder is None
 
