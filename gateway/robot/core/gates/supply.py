@@ -20,7 +20,7 @@ class PowerGate:
         """As of the board's latest news; None: there is no board."""
 
     def opens_ns(self, servo: Servo) -> int:
-        return NEVER if self.holds(servo) else 0
+        return NEVER if self.holds(servo) else 0  # mutants accepted (Step): any time that is over
 
     def holds(self, servo: Servo) -> bool:
         """Return whether this servo's start waits for power: its own, or that of another servo of its command."""
