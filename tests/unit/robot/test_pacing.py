@@ -214,6 +214,13 @@ def test_each_event_leads_where_the_table_says_or_changes_nothing(event: str, li
         assert values(servo) == before
 
 
+def test_a_frame_that_repeats_a_servo_s_angle_begins_the_time_for_its_next_step() -> None:
+    pace, servo = Paces(Rules(max_speed_cdeg_s={11: 100_00}), AngleLimits()), Servo(11, RUNNING, 0)
+    servo.repeated(NS_PER_S)
+    servo.take(SETS[90_00], COMMAND)
+    assert pace.step(servo, NS_PER_S + 5 * NS_PER_MS, NS_PER_S, lands=False).angle_cdeg == 50
+
+
 def test_no_frame_moves_a_running_servo_without_a_target() -> None:
     servo = in_state(RUNNING)
     servo.drop()
