@@ -68,7 +68,7 @@ JUDGES: Final = {
     "gateway/robot/core/gates/supply.py": _robot("power_rule power_conductor"),
     "gateway/robot/core/gates/whole.py": _robot("supervisor elkapod_conductor"),
     "gateway/robot/core/gates/every.py": (*_robot("power_rule"), *_SUPERVISOR),
-    "gateway/robot/core/leg.py": (*_SUPERVISOR, *_SETTINGS, *_robot("supervisor_takeover")),
+    "gateway/robot/core/leg.py": (*_robot("pacing"), *_SUPERVISOR, *_SETTINGS, *_robot("supervisor_takeover")),
     "gateway/robot/core/legs.py": _SUPERVISOR,
     "gateway/robot/core/supervisor.py": _SUPERVISOR,
     "gateway/robot/core/interlock.py": _SUPERVISOR,

@@ -194,6 +194,26 @@ def in_state(life: Life) -> Servo:
     return servo
 
 
+NOT_STEADY: Final[dict[str, Callable[[Servo], object]]] = {
+    "a pace": lambda servo: servo.ease(1, 5),
+    "a way to go": lambda servo: servo.take(SETS[30_00], COMMAND),
+    "a Stop": lambda servo: servo.stop(7, RobotCalibration()),
+    "another sender": lambda servo: (servo.take(SETS[30_00], Command((), source="bert")), servo.wrote_target(7)),
+}
+
+
+@pytest.mark.parametrize("what", NOT_STEADY)
+def test_a_leg_is_steady_while_all_its_servos_run_for_its_sender_without_a_way_to_go(what: str) -> None:
+    leg = leg_at_rest(1, PERIOD_NS)
+    leg.sender = COMMAND.sender
+    for servo in leg.servos:
+        servo.take(STARTS[20_00], COMMAND)
+        servo.wrote_target(5)
+    assert leg.is_steady()
+    NOT_STEADY[what](leg.servos[1])
+    assert not leg.is_steady()
+
+
 def values(servo: Servo) -> list[object]:
     return [getattr(servo, each.name) for each in fields(Servo)]
 
