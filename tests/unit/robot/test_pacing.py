@@ -194,11 +194,16 @@ def in_state(life: Life) -> Servo:
     return servo
 
 
+def moved_by_bert(servo: Servo) -> None:
+    servo.take(SETS[30_00], Command((), source="bert"))
+    servo.wrote_target(7)
+
+
 NOT_STEADY: Final[dict[str, Callable[[Servo], object]]] = {
     "a pace": lambda servo: servo.ease(1, 5),
     "a way to go": lambda servo: servo.take(SETS[30_00], COMMAND),
     "a Stop": lambda servo: servo.stop(7, RobotCalibration()),
-    "another sender": lambda servo: (servo.take(SETS[30_00], Command((), source="bert")), servo.wrote_target(7)),
+    "another sender": moved_by_bert,
 }
 
 
