@@ -99,13 +99,13 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
     "gateway/robot/core/legs.py": (
         ByHand(
             "an older start of the same instant overtakes the Stop, where time passes in it",
-            "servo.note_stop(command.channel, self.instant_ns)",
-            "servo.note_stop(command.channel, now_ns)",
+            "servo.stop(command.channel, self.instant_ns, ",
+            "servo.stop(command.channel, now_ns, ",
         ),
         ByHand(
             "a start of the same instant undoes the watchdog's Stop, where time passes in it",
-            "servo.note_stop(cause, self.instant_ns)",
-            "servo.note_stop(cause, now_ns)",
+            "servo.stop(cause, self.instant_ns, ",
+            "servo.stop(cause, now_ns, ",
         ),
         ByHand("what was rejected for one leg still moves another", "in self.servos.values():  #", "in servos:  #"),
         ByHand(

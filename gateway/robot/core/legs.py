@@ -228,8 +228,7 @@ class Legs:
                 effects += self.drop(servos, Reason.OVERFLOW, _LOST)
             for servo in servos:
                 effects += self._replaced(servo)
-                servo.note_stop(command.channel, self.instant_ns)
-                servo.stop(now_ns, self.limits.calibration)
+                servo.stop(command.channel, self.instant_ns, now_ns, self.limits.calibration)
                 effects += self._target_done(command)
             self.stops.first(sent, now_ns)
             if servos and not moves:
@@ -379,11 +378,9 @@ class Legs:
         servos = [servo for leg in legs for servo in leg.servos]
         self._note_halt(servos, cause, sender)
         dropped = self.drop(servos, reason, detail)
+        calibration = None if cause is Cause.STARTUP else self.limits.calibration
         for servo in servos:
-            servo.note_stop(cause, self.instant_ns)
-            servo.stop(now_ns, self.limits.calibration)
-            if cause is Cause.STARTUP:
-                servo.forget()
+            servo.stop(cause, self.instant_ns, now_ns, calibration)
         self.stops.first(servos, now_ns)
         for leg in legs:
             leg.expired, leg.sender = False, NOBODY

@@ -83,7 +83,6 @@ class PowerRule(Interlock[PowerSeen]):
         alone = [] if self.trusted or event.rests else [each for each, _ in event.drew if each in self._asked]
         return _DEAF.format(alone[0]) if alone else ""  # mutants accepted (Step): any of them
 
-    # mutants accepted (Forget): only time is lost
     def take(self, event: PowerSeen, now_ns: int) -> list[Effect]:
         legs, deaf = self._legs, self._deaf(event)
         self.alive, self._blocked = event.alive, {each: f"{why}; a reset feeds it again" for each, why in event.refused}

@@ -167,20 +167,13 @@ class Servo:  # mutants accepted (Step): set before it is read
         self.life = _DROP[self.life]
         self.target = self.from_cdeg = self.passing_cdeg = None
 
-    def stop(self, now_ns: int, calibration: RobotCalibration) -> None:
-        """Record a Stop."""
-        if self.angle_cdeg is not None:
-            self.known, self.pace_cdeg_s = Known(self.angle_cdeg, now_ns, calibration), None
-        self.life = OFF
-        self.angle_cdeg = self.target = self.from_cdeg = self.passing_cdeg = None
-
-    # ---- what else is known of it
-
-    def note_stop(self, by: str, instant_ns: int) -> None:
-        """Record that channel or cause `by` stopped the servo in this instant."""
+    def stop(self, by: str, instant_ns: int, now_ns: int, calibration: RobotCalibration | None) -> None:
+        """Record a Stop by this channel or cause. `calibration` is its angle's; None: its last frame is unknown."""
         earlier = self.stopped_by if self.stopped_ns == instant_ns else frozenset[str]()
         self.stopped_by, self.stopped_ns = earlier | {by}, instant_ns
-
-    def forget(self) -> None:
-        """Forget where it was stopped: after a bus fault its last frame is unknown."""
-        self.known = None
+        if calibration is None:
+            self.known = None
+        elif self.angle_cdeg is not None:
+            self.known = Known(self.angle_cdeg, now_ns, calibration)
+        self.life = OFF
+        self.angle_cdeg = self.target = self.from_cdeg = self.passing_cdeg = self.pace_cdeg_s = None

@@ -179,7 +179,7 @@ EVENTS: Final[dict[str, Callable[[Servo], object]]] = {
     "set": lambda servo: servo.take(SETS[90_00], COMMAND),
     "frame": lambda servo: servo.wrote_target(7),
     "drop": lambda servo: servo.drop(),
-    "stop": lambda servo: servo.stop(7, RobotCalibration()),
+    "stop": lambda servo: servo.stop("put leg", 6, 7, RobotCalibration()),
 }
 
 
@@ -202,7 +202,7 @@ def moved_by_bert(servo: Servo) -> None:
 NOT_STEADY: Final[dict[str, Callable[[Servo], object]]] = {
     "a pace": lambda servo: servo.ease(1, 5),
     "a way to go": lambda servo: servo.take(SETS[30_00], COMMAND),
-    "a Stop": lambda servo: servo.stop(7, RobotCalibration()),
+    "a Stop": lambda servo: servo.stop("put leg", 6, 7, RobotCalibration()),
     "another sender": moved_by_bert,
 }
 
