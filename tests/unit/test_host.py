@@ -1,4 +1,4 @@
-"""Small parts of the host: latencies, files, systemd, mounts, logs, settings in effect; what a message costs."""
+"""Small parts of the host: latencies, files, systemd, mounts, logs, settings in effect."""
 
 import asyncio
 import json
@@ -6,14 +6,11 @@ import logging
 import os
 import signal
 import socket
-import sys
 import threading
-from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
-from types import CodeType, FrameType
-from typing import IO, Any
+from typing import IO
 
 import pytest
 
@@ -29,8 +26,6 @@ from gateway.robot.host.systemd import PINGS_PER_TIMEOUT, SystemdNotifier
 from gateway.robot.protocol.latency import Latency
 from gateway.robot.service import SERVOS_FILE, ServosFile
 from gateway.robot.settings import Settings
-from schemas import keys
-from tests.support.robot import leg, started_and_quiet
 
 
 @pytest.mark.parametrize(
@@ -131,62 +126,6 @@ async def test_a_mistake_of_our_own_ends_the_service() -> None:
     again = asyncio.Event()
     disk.write(lambda: None, lambda _: loop.call_soon_threadsafe(again.set))
     await again.wait()
-
-
-# ---- How many bytecodes a message takes: what is added shows here (docs/design.md, *How fast*)
-
-
-_ALL = {"legs": {str(number): leg("start", 90, 45, 120) for number in range(1, 7)}}
-
-
-def bytecodes(do: Callable[[], object]) -> tuple[int, int]:
-    """Return how many bytecodes of the gateway's own functions a call executes, and how many distinct ones.
-
-    The distinct ones predict the cost: other programs push the gateway out of the processor's caches.
-    """
-    executed: Counter[tuple[CodeType, int]] = Counter()
-
-    def trace(frame: FrameType, event: str, _arg: object) -> Any:
-        path = frame.f_code.co_filename
-        if not any(folder in path for folder in ("/gateway/robot/", "/gateway/model/", "/schemas/")):
-            return None
-        frame.f_trace_opcodes, frame.f_trace_lines = True, False
-        if event == "opcode":
-            executed[frame.f_code, frame.f_lasti] += 1
-        return trace
-
-    before = sys.gettrace()
-    sys.settrace(trace)
-    try:
-        do()
-    finally:
-        sys.settrace(before)
-    return executed.total(), len(executed)
-
-
-@pytest.mark.virtual_time
-@pytest.mark.parametrize(
-    ("key", "payload", "most", "most_distinct"),
-    [
-        pytest.param(keys.ESTOP, {}, 10800, 3520, id="an emergency stop while all legs run"),
-        pytest.param(keys.leg_command(3), leg("set", 91, 45, 120), 1745, 1440, id="a leg's setpoint"),
-        pytest.param(keys.LEGS_COMMAND, _ALL, 4850, 1420, id="a setpoint of all legs"),
-    ],
-)
-async def test_a_tick_of_a_stream_has_so_few_bytecodes(
-    key: str, payload: object, most: int, most_distinct: int
-) -> None:
-    """The stream is older than 0.8 s, when legs at rest would be due. Later Pythons count differently."""
-    robot = await started_and_quiet()
-    robot.put(keys.LEGS_COMMAND, _ALL)
-    for _ in range(60):
-        await asyncio.sleep(0.02)
-        robot.put(keys.LEGS_COMMAND, _ALL)
-    await asyncio.sleep(0.02)
-    executed, distinct = bytecodes(lambda: robot.put(key, payload))
-    more = 1.0 if sys.version_info < (3, 12) else 1.3
-    assert executed <= most * more
-    assert distinct <= most_distinct * more
 
 
 MOUNTS = """\
