@@ -346,7 +346,7 @@ def _line(each: Decided) -> Explained:
     noes: list[Rejected | RequestAnswer] = [*rejected, *refused]
     frames = [effect for effect in each.effects if isinstance(effect, Transmit)]
     decisive: list[str | None] = [*(effect.kind for effect in announced), *(effect.reason for effect in noes)]
-    decisive += [effect.cause for effect in frames]
+    decisive += [each.cause for each in frames if not (each.frame.is_stop and each.cause is Cause.COMMAND)]
     rule = next((RULES[str(name)] for name in decisive if name in RULES), "")
     why = [effect.detail or effect.done for effect in announced if effect.kind is not Kind.LEGS_STOPPED]
     why += [f"rejected, {effect.reason}: {effect.detail}" for effect in noes]

@@ -66,6 +66,11 @@ async def stopped(robot: Robot) -> None:
     robot.put(keys.servo_command(31), servo("stop"))
     robot.put(keys.LEGS_COMMAND, {"legs": {"1": leg("stop"), "2": leg("start", 9, 9, 9)}})
     robot.put(keys.leg_command(4), leg("stop", unknown=1))
+    robot.each_takes_ns = 1000
+    robot.put_later(keys.leg_command(5), leg("stop"))
+    robot.put_later(keys.servo_command(51), servo("start", 9))  # of the same instant, so it does not start
+    robot.conductor.tick()
+    robot.each_takes_ns = 0
     robot.put(keys.ESTOP, {"source": "ben"})
     await driven(robot, 1, 1)
     robot.put(keys.RESET, {"estop": 1})
