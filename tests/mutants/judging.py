@@ -39,9 +39,6 @@ OURS: Final = ("gateway", "tests")
 MEMORY_BYTES: Final = 8 << 30
 """A fault that never ends may also take memory without end."""
 
-TEST_MAY_TAKE_S: Final = 90
-"""One test, with a fault that makes it wait for ever. The longest that judges takes 10 s on a processor of its own."""
-
 
 class Outcome(StrEnum):
     KILLED = "killed"
@@ -80,10 +77,14 @@ class Subject:
 
 @dataclass(frozen=True, slots=True)
 class _Limits:
-    """Seconds of the processor, and in all: what waits for ever uses no processor."""
+    """Seconds of the processor, in all, and of one test: what waits for ever uses no processor.
 
-    processor_s: float = 120
-    all_s: float = 600
+    Of a mutant by what the tests take without one, since the machine may be busy.
+    """
+
+    processor_s: float = 300
+    all_s: float = 3600
+    test_s: float = 900
 
 
 def verdicts(subject: Subject) -> Iterator[tuple[int, Verdict]]:
@@ -97,15 +98,15 @@ def verdicts(subject: Subject) -> Iterator[tuple[int, Verdict]]:
     loader, pipe = _forked(None)
     if loader == 0:
         os.setpgid(0, 0)
-        _run_tests(subject, _Loaded(-1, subject, pipe))
+        _run_tests(subject, _Loaded(-1, limits, subject, pipe))
     try:
         with open(pipe, encoding="utf-8") as lines:
             for line in lines:
                 match json.loads(line):
                     case {"fails": test}:
                         raise TestsFailError(test)
-                    case {"limits": [processor_s, all_s]}:
-                        limits = _Limits(processor_s, all_s)
+                    case {"limits": of_mutants}:
+                        limits = _Limits(*of_mutants)
                     case {"order": tests}:
                         order = tests
                     case {"number": number, "outcome": None}:
@@ -125,7 +126,7 @@ def _judged_anew(subject: Subject, number: int, order: list[str], limits: _Limit
     if pid == 0:
         file = str(subject.root / subject.file)
         sys.meta_path.insert(0, MutatedImport(subject.module, file, subject.mutated[number]))
-        _run_tests(subject, _Anew(pipe, order))
+        _run_tests(subject, _Anew(pipe, limits, order))
     verdict = _awaited(pid, pipe, limits)
     if verdict.test in order:
         order.insert(0, order.pop(order.index(verdict.test)))
@@ -189,10 +190,11 @@ class _Tests:
 
     pipe: int
     """Where to write the name of the test that fails."""
+    limits: _Limits
 
     def pytest_runtest_logstart(self) -> None:
         """A test begins; one that waits for ever ends all."""
-        signal.setitimer(signal.ITIMER_REAL, TEST_MAY_TAKE_S)
+        signal.setitimer(signal.ITIMER_REAL, self.limits.test_s)
 
     @pytest.hookimpl(trylast=True)
     def pytest_configure(self) -> None:
@@ -258,21 +260,23 @@ class _Loaded(_Tests):
         module = sys.modules[self.subject.module]
         begun_s, used_s = time.monotonic(), _children_used_s()
         noted = os.memfd_create("calls")
-        pid, self.pipe = _forked(_Limits())
+        pid, self.pipe = _forked(self.limits)
         if pid == 0:
             self.noted = noted
             for look in watched(module, source, self.now.add):
                 look()
             return None
-        without = _awaited(pid, self.pipe, _Limits())
+        without = _awaited(pid, self.pipe, self.limits)
         if without.outcome is not Outcome.SURVIVED:
             _tell(self.report, fails=without.test or without.outcome)
             return True
-        limits = _Limits(5 + 4 * (_children_used_s() - used_s), 15 + 6 * (time.monotonic() - begun_s))
-        _tell(self.report, limits=[limits.processor_s, limits.all_s])
         with open(noted, encoding="utf-8") as lines:
             lines.seek(0)
             notes = [json.loads(line) for line in lines]
+        used_s, took_s = _children_used_s() - used_s, time.monotonic() - begun_s
+        longest_s = max((float(note[1]) for note in notes), default=0.0)
+        self.limits = limits = _Limits(5 + 4 * used_s, 15 + 6 * took_s, 15 + 6 * longest_s)
+        _tell(self.report, limits=[limits.processor_s, limits.all_s, limits.test_s])
         calls = {test: called for test, _, called in notes}
         quick_first = [test for test, _, _ in sorted(notes, key=lambda note: float(note[1]))]
         for number, mutated in enumerate(self.subject.mutated):
