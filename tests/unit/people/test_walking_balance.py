@@ -10,7 +10,7 @@ import pytest
 from gateway.errors import WalkError
 from gateway.geometry import load
 from gateway.geometry.kinematics import Vector, from_rpy
-from gateway.people.walking.balance import FALLEN_DEG, ReceivedTelemetry, Senses
+from gateway.people.walking.balance import FALLEN_DEG, LEANS_RAD, ReceivedTelemetry, Senses
 from gateway.people.walking.motion import STILL, Posture, Velocity
 from gateway.people.walking.ride import Ride
 from gateway.people.walking.robot import LIFT_M, Robot
@@ -130,6 +130,16 @@ def test_below_a_body_that_leans_feet_rest_further_out_and_keep_their_strides() 
     assert engine.state.velocity.forward_m_s == pytest.approx(AHEAD.forward_m_s)
     further_m = [math.hypot(*engine.state.feet[leg][:2]) - math.hypot(*engine.stance.feet[leg][:2]) for leg in LEGS]
     assert sum(further_m) / len(LEGS) > 0.04
+
+
+def test_a_body_leans_no_further_than_the_strides_allow() -> None:
+    walked = standing(ROBOT)
+    ground, engine = Ground(walked, flat, pitch_rad=math.radians(20.0)), walked.engine
+    for _ in range(300):
+        ground.run(TICK_S, Velocity(0.3))
+        assert "reach:" not in engine.limit, "it leans less instead"
+    assert 10.0 < math.degrees(engine.corrected_rad) < math.degrees(LEANS_RAD) - 1.0
+    assert engine.state.odometry.x_m > 0.7
 
 
 @pytest.mark.parametrize("ahead_m", [0.05, -0.05])
