@@ -8,7 +8,7 @@ DEBIAN_PACKAGES := umockdev gir1.2-umockdev-1.0 python3-gi iproute2 systemd dbus
 # And what only `make nightly` needs: the other two browsers, a display with a window manager for WebKit, other Debians, containers, and
 # arm64.
 nightly: DEBIAN_PACKAGES += webkit2gtk-driver xvfb matchbox-window-manager firefox-esr debootstrap \
-	podman runc qemu-user-static ffmpeg
+	podman runc qemu-user-static ffmpeg qemu-system-arm gcc-12-aarch64-linux-gnu
 
 .PHONY: three deb dist lock help run quick test test-all nightly check bench kernel soak mutants schemas docs format clean debian-packages
 
@@ -21,7 +21,7 @@ help:
 	@echo "make test-all and what needs root or Debian packages (it installs them; APT=no: it does not), or searches:"
 	@echo "              twelve minutes in all (REST=yes: only what make test leaves)"
 	@echo "make nightly  and what takes long: falls, walks, releases, each file of tests by itself, the Pythons of three Debians,"
-	@echo "              the kernel's spidev, all mutants, an hour's soak, benchmarks"
+	@echo "              the kernel's spidev, the package on an emulated arm64, all mutants, an hour's soak, benchmarks"
 	@echo "make check    ruff, mypy, and the JSON Schemas compared with the models"
 	@echo "make bench    the benchmark: this gateway beside the naive script; needs cc (QUICK=1: in a minute; RELEASE=FOLDER: and an earlier one)"
 	@echo "make kernel   a virtual machine (QEMU) with Debian's kernel: lists, Stops and failures on its real spidev; some minutes"
@@ -58,6 +58,7 @@ nightly: $(VENV)/dev $(VENV)/rclpy $(VENV)/lerobot debian-packages
 	@$(BIN)/python -m tests --nightly --workers $(WORKERS)
 	ZYGOTE=no $(BIN)/pytest tests/hil/test_service.py tests/zenoh/test_service.py
 	$(BIN)/python -m tests.pythons
+	$(BIN)/python -m tests.kernel --arm64
 	@$(MAKE) --no-print-directory kernel mutants bench soak
 
 check: $(VENV)/dev

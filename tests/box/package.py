@@ -22,8 +22,9 @@ BROKEN = "\nimport sys\nif 'run' in sys.argv: raise SystemExit(7)\n"
 class Packages:
     """Made in `folder`, each once; without compression."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, architecture: str = "amd64") -> None:
         self._folder = folder
+        self._architecture = architecture
 
     @cached_property
     def _wheel(self) -> Path:
@@ -31,7 +32,7 @@ class Packages:
 
     @cached_property
     def _dependencies(self) -> Path:
-        return dependencies(self._folder, "amd64")
+        return dependencies(self._folder, self._architecture)
 
     def make(self, release: str, change: str = "") -> Path:
         """The package of `release`; its gateway/__init__.py has `change` besides."""
@@ -43,7 +44,7 @@ class Packages:
                 for name in plain.namelist():
                     text = change.encode() if name == "gateway/__init__.py" else b""
                     changed.writestr(name, plain.read(name) + text)
-            deb(folder, wheel, self._dependencies, release, WHEN, "amd64", pack="none")
+            deb(folder, wheel, self._dependencies, release, WHEN, self._architecture, pack="none")
         return next(folder.glob("*.deb"))
 
 

@@ -7,15 +7,13 @@ import gzip
 import os
 import shutil
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Final
 
-from tests.kernel.parts import CACHE, LIBRARIES, ROOT, Parts, PartsError
+from tests.kernel.parts import LIBRARIES, ROOT, Parts, PartsError
 
-LONGEST_S: Final = 900
 VIDEOBUF: Final = "drivers/media/common/videobuf2/videobuf2"
 DRIVERS: Final = (
     "fs/netfs/netfs", "fs/fscache/fscache", "net/9p/9pnet", "drivers/virtio/virtio_ring", "drivers/virtio/virtio",
@@ -44,34 +42,28 @@ mount -t debugfs debug /root/sys/kernel/debug
 for each in tmp run dev/shm; do mkdir -p /root/$each; mount -t tmpfs tmpfs /root/$each; done
 mkdir /root/run/kernel-test; mount --move /out /root/run/kernel-test
 ifconfig lo 127.0.0.1 up
-export PATH=/usr/bin:/bin:/usr/sbin:/sbin PYTHONDONTWRITEBYTECODE=1 HOME=/tmp TMPDIR=/tmp
-/bin/busybox chroot /root /bin/sh -c 'cd {tree} && exec {python} -m tests.kernel.inside {scenes}' \
-    >/root/run/kernel-test/output 2>&1
-/bin/busybox sync
-/bin/busybox poweroff -f
-"""
+{begin}"""
 
 
-def boot(parts: Parts, scenes: str, options: str, look: Callable[[Path], None], cache: Path = CACHE) -> None:
+def boot(parts: Parts, scenes: str, options: str, look: Callable[[Path], None]) -> None:
     """Boot with these kernel options, run the scenes, and wait for the end; `look` sees their folder now and then.
 
     Raises PartsError where it does not end in time.
     """
-    out = cache / "out"
+    cache, out = parts.cache, parts.cache / "out"
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir()
     initrd = _initramfs(parts, scenes, cache / "initramfs.gz")
     libraries = ":".join(str(parts.root / name) for name in LIBRARIES)
     command = [
         *("setpriv", "--pdeathsig", "KILL"),  # the kernel kills it when this process ends, also by SIGKILL
-        str(parts.root / "usr/bin/qemu-system-x86_64"),
-        *("-L", str(parts.root / "usr/share/seabios"), "-L", str(parts.root / "usr/share/qemu")),
-        *("-accel", _accelerator(), "-cpu", "max", "-smp", "2", "-m", "2048"),
+        *(*parts.qemu, "-smp", "2"),
         *("-nodefaults", "-display", "none", "-no-reboot", "-serial", f"file:{cache / 'console.log'}"),
         *("-kernel", str(parts.kernel), "-initrd", str(initrd)),
-        *("-append", f"console=ttyS0 quiet panic=-1 {options}".rstrip()),
-        *("-virtfs", "local,path=/,mount_tag=root,security_model=none,readonly=on,multidevs=remap"),
+        *("-append", f"console={parts.console} quiet panic=-1 {options}".rstrip()),
+        *("-virtfs", f"local,path={parts.system},mount_tag=root,security_model=none,readonly=on,multidevs=remap"),
         *("-virtfs", f"local,path={out},mount_tag=out,security_model=none"),
+        *("-virtfs", f"local,path={ROOT},mount_tag=tree,security_model=none,readonly=on"),
     ]
     with (cache / "qemu.log").open("w") as log:
         machine = subprocess.Popen(
@@ -81,11 +73,11 @@ def boot(parts: Parts, scenes: str, options: str, look: Callable[[Path], None], 
             stderr=log,
             start_new_session=True,  # Ctrl-C is for us: QEMU would power off, as if all scenes had been played
         )
-    deadline_s = time.monotonic() + LONGEST_S
+    deadline_s = time.monotonic() + parts.longest_s
     try:
         while machine.poll() is None:
             if time.monotonic() > deadline_s:
-                raise PartsError(f"the virtual machine still runs after {LONGEST_S} s; see {cache}/console.log")
+                raise PartsError(f"the virtual machine still runs after {parts.longest_s} s; see {cache}/console.log")
             look(out)
             time.sleep(0.5)
         look(out)
@@ -96,20 +88,13 @@ def boot(parts: Parts, scenes: str, options: str, look: Callable[[Path], None], 
         raise PartsError(f"QEMU ended with {machine.returncode}; see {cache}/qemu.log")
 
 
-def _accelerator() -> str:
-    """KVM only where the processor says that it can: within another virtual machine /dev/kvm opens, and hangs."""
-    flags = Path("/proc/cpuinfo").read_text().split()
-    usable = os.access("/dev/kvm", os.R_OK | os.W_OK) and not {"vmx", "svm"}.isdisjoint(flags)
-    return "kvm" if usable else "tcg,thread=multi"
-
-
 def _initramfs(parts: Parts, scenes: str, path: Path) -> Path:
     """Write the first files, as the kernel unpacks it: a cpio archive. `scenes`: the arguments of what runs inside."""
-    names = [Path(name).name for name in DRIVERS]
-    init = _INIT.format(drivers=" ".join(names), tree=ROOT, python=sys.executable, scenes=scenes)
+    drivers = [each for each in (parts.drivers / f"{name}.ko" for name in DRIVERS) if each.exists()]  # or built in
+    begin = parts.begin.format(scenes=scenes)
+    init = _INIT.format(drivers=" ".join(each.stem for each in drivers), begin=begin)
     files = {"init": init.encode(), "bin/busybox": (parts.root / "bin/busybox").read_bytes()}
-    files |= {f"{Path(name).name}.ko": (parts.drivers / f"{name}.ko").read_bytes() for name in DRIVERS}
-    files["spirec.ko"] = parts.module.read_bytes()
+    files |= {each.name: each.read_bytes() for each in (*drivers, parts.module)}
     path.write_bytes(gzip.compress(_cpio(files), 1))
     return path
 

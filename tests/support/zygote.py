@@ -129,7 +129,7 @@ class _Server:
                 stdin=subprocess.DEVNULL,
             )
         if self._channel.recv(len(READY)) != READY:
-            raise ChildProcessError("the fork server does not start")
+            raise ChildProcessError(f"the fork server does not start: it ended with {self._process.wait()}")
         atexit.register(self.close)
 
     def close(self) -> None:

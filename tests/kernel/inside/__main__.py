@@ -6,7 +6,7 @@ import traceback
 from pathlib import Path
 
 from tests.kernel.inside import wire
-from tests.kernel.inside.scenes import SCENES
+from tests.kernel.inside.scenes import ALL
 
 OUT = Path("/run/kernel-test")
 
@@ -17,7 +17,7 @@ def main() -> None:
         wire.heal()
         wire.forget()
         try:
-            holds, found = True, SCENES[name].play()
+            holds, found = True, ALL[name].play()
         except Exception as error:
             traceback.print_exc()
             holds, found = False, f"{error}".splitlines()[0] if f"{error}" else type(error).__name__

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Final, NamedTuple
 
 from gateway.model.frames import Framing
-from tests.kernel.inside import batches, camera, failures, power, service
+from tests.kernel.inside import batches, camera, failures, power, service, shipped
 
 
 class Scene(NamedTuple):
@@ -53,3 +53,21 @@ SCENES: Final = {
         "with a buffer of 512 bytes, shorter lists and the same bytes", batches.small_buffer, "spidev.bufsiz=512"
     ),
 }
+ARM64: Final = {
+    **{
+        name: SCENES[name]
+        for name in ("batch-plain", "batch-length-prefixed", "atomic", "killed", "error", "lost", "hang")
+    },
+    "installed": Scene("the package is installed, and nothing runs yet", shipped.installed),
+    "setup": Scene("setup starts the service: six Stops come first", shipped.set_up),
+    "check": Scene("check finds nothing wrong", shipped.checked),
+    "first-contact": Scene("check --move moves one servo", shipped.first_contact),
+    "check-stops": Scene("check --stops: each step passes", shipped.proven),
+    "sigkill": Scene("an emergency stop outlives kill -9, and Stops come from outside", shipped.killed),
+    "sigstop": Scene("a process that hangs is ended, and Stops come from outside", shipped.hung),
+    "upgrade": Scene("an upgrade and the way back keep an emergency stop", shipped.upgraded),
+    "end": Scene("systemctl stop: six Stops", shipped.ended),
+    "removal": Scene("the package is removed", shipped.removed),
+}
+"""On a machine for arm64, in this order."""
+ALL: Final = SCENES | ARM64

@@ -9,7 +9,7 @@ DEVICE: Final = "/dev/spidev0.0"
 LOG: Final = Path("/sys/kernel/debug/spirec/log")
 PARAMETERS: Final = Path("/sys/module/spirec/parameters")
 ASSERTED, RELEASED, BEGIN, END, SETUP, PREPARE, UNPREPARE, LOST = range(1, 9)
-_RECORD: Final = struct.Struct("=Q4xIIHBxhBxH2x16x16s")
+_RECORD: Final = struct.Struct("=QIIIHBxhBxH2x16x16s")
 _FAULTS: Final = ("fail_in", "lose_in", "lose_zeros", "hang_in", "xfer_sleep_us")
 
 
@@ -17,6 +17,7 @@ class Record(NamedTuple):
     """`struct rec` of the module, as far as a scene looks at it."""
 
     ns: int
+    process: int
     speed_hz: int
     mode: int
     size: int

@@ -1,0 +1,108 @@
+"""The parts of a machine for arm64: Debian's kernel, a Debian 12 of its own with systemd, and our package for it.
+
+Its files are made once: debootstrap's second stage runs in the machine. The processor is emulated, so a scene may take
+minutes, and only orders are judged.
+"""
+
+import shutil
+from pathlib import Path
+from typing import Final
+
+from tests.box.package import Packages
+from tests.kernel import parts as of
+from tests.kernel.machine import boot
+from tests.kernel.parts import Parts, PartsError, run
+
+CACHE: Final = of.CACHE / "arm64"
+SYSTEM: Final = CACHE / "system"
+RELEASES: Final = ("1.1.0", "1.1.1")
+"""The package that is installed, and what it is upgraded to: the same code."""
+_MIRROR: Final = "http://deb.debian.org/debian"
+_CROSS: Final = "aarch64-linux-gnu-"
+_QEMU: Final = (
+    *("qemu-system-aarch64", "-M", "virt", "-cpu", "cortex-a72", "-m", "3072"),
+    *("-accel", "tcg,thread=single", "-icount", "shift=0"),
+)
+"""An instruction takes the machine 1 ns, however busy this one is."""
+_INCLUDED: Final = "python3,systemd-sysv,dbus,udev,procps,iproute2"
+_INSTALL: Final = """
+chroot /root /debootstrap/debootstrap --second-stage >/root/run/kernel-test/output 2>&1 &&
+    chroot /root tar --one-file-system --exclude=./debootstrap -cf /run/kernel-test/system.tar .
+/bin/busybox poweroff -f # {scenes}
+"""
+_BEGIN: Final = """
+units=/root/etc/systemd/system
+chmod 755 /root/run; mkdir -p /root/run/tree $units/multi-user.target.wants
+ln -s ../kernel-test.service $units/multi-user.target.wants
+mount -t 9p -o ro,trans=virtio,version=9p2000.L,cache=loose,msize=512000 tree /root/run/tree
+cat >$units/kernel-test.service <<END
+[Service]
+Environment=HOME=/root PYTHONDONTWRITEBYTECODE=1 PYTHONPATH=/usr/lib/hexapod-gateway/current ZYGOTE=no
+WorkingDirectory=/run/tree
+StandardOutput=append:/run/kernel-test/output
+ExecStartPre=dpkg --install {package}
+ExecStart=/usr/bin/python3 -m tests.kernel.inside {{scenes}}
+ExecStopPost=sh -c 'journalctl --boot >/run/kernel-test/journal; systemctl poweroff --force --force'
+TimeoutStartSec=infinity
+TimeoutStopSec=infinity
+END
+exec /bin/busybox switch_root /root /lib/systemd/systemd
+"""
+
+
+def prepare() -> Parts:
+    """Everything that a boot needs. Raises PartsError."""
+    of.need("apt-get", "dpkg-deb", "make", "setpriv", "debootstrap", _QEMU[0], f"{_CROSS}gcc-12")
+    root = of.unpacked(CACHE, _download)
+    made = of.built(root, CACHE / "module", "ARCH=arm64", f"CROSS_COMPILE={_CROSS}")
+    parts = Parts(root, *made, _QEMU, "ttyAMA0", _INSTALL, SYSTEM, CACHE, 5400)
+    if not (SYSTEM / "installed").exists():
+        _install(parts)
+    shutil.rmtree(CACHE / "packages", ignore_errors=True)
+    (CACHE / "packages").mkdir()
+    packages = Packages(CACHE / "packages", "arm64")
+    first, _ = [Path("/run/tree") / packages.make(release).relative_to(of.ROOT) for release in RELEASES]
+    return parts._replace(begin=_BEGIN.format(package=first))
+
+
+def _download(folder: Path) -> list[Path]:
+    """Debian 12's kernel for arm64 with its headers, and what of them runs on this machine."""
+    shutil.rmtree(folder, ignore_errors=True)
+    for each in ("lists/partial", "archives/partial"):
+        (folder / each).mkdir(parents=True)
+    (folder / "list").write_text(
+        f"deb [signed-by=/usr/share/keyrings/debian-archive-keyring.gpg] {_MIRROR} bookworm main"
+    )
+    places = {"State": folder, "Cache": folder, "State::status": "/dev/null", "Etc::sourcelist": folder / "list"}
+    options = [
+        "APT::Architecture=arm64",
+        "APT::Architectures=arm64",
+        "APT::Sandbox::User=root",
+        "Dir::Etc::sourceparts=-",
+    ]
+    options += [f"Dir::{name}={place}" for name, place in places.items()]
+    apt = [f"--option={each}" for each in options]
+    run("apt-get", *apt, "update")
+    image = of.kernel("arm64", *apt)
+    headers = image.replace("image", "headers")
+    names = (image, headers, headers.replace("-arm64", "-common"), "busybox-static")
+    run("apt-get", *apt, "download", *names, cwd=folder)
+    run("apt-get", "download", "linux-kbuild-6.1", cwd=folder)
+    return sorted(folder.glob("*.deb"))
+
+
+def _install(parts: Parts) -> None:
+    shutil.rmtree(SYSTEM, ignore_errors=True)
+    SYSTEM.mkdir(parents=True)
+    options = ("--arch=arm64", "--foreign", "--variant=minbase", f"--include={_INCLUDED}")
+    run("debootstrap", *options, "bookworm", str(SYSTEM), _MIRROR)
+    run("sh", "-c", "rm -rf proc && mkdir proc", cwd=SYSTEM)  # within a container debootstrap makes it a link
+    boot(parts, "", "", lambda _: None)
+    made = CACHE / "out" / "system.tar"
+    if not made.exists():
+        raise PartsError(f"Debian was not installed; see {CACHE}/out/output")
+    shutil.rmtree(SYSTEM)
+    SYSTEM.mkdir()
+    run("tar", "--numeric-owner", "-xf", str(made), "-C", str(SYSTEM))
+    made.unlink()
+    (SYSTEM / "installed").touch()
