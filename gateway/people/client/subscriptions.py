@@ -60,11 +60,6 @@ class States:
                     self.config = config
 
 
-def reports(model: type[R], take: Callable[[R], object]) -> Callable[[zenoh.Sample], None]:
-    """Return a subscriber's callback that calls `take` with each valid report."""
-    return reads(model.model_validate_json, take)
-
-
 def reads(read: Callable[[bytes], R | None], take: Callable[[R], object]) -> Callable[[zenoh.Sample], None]:
     """Return a subscriber's callback that calls `take` with what `read` finds, unless it raises ValidationError."""
 

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 
 from gateway.errors import GatewayError, UnansweredError
 from gateway.people.client.blocking import Client
-from gateway.people.client.subscriptions import KEPT_EVENTS, reads, reports
+from gateway.people.client.subscriptions import KEPT_EVENTS, reads
 from gateway.people.watching.silence import CHECK_EVERY_S, Silence
 from schemas import keys
 from schemas.telemetry import Ack, BodyReport, Event, GatewayState, Telemetry
@@ -137,13 +137,13 @@ class Live:
         # Only the newest state counts, but every event.
         self._read(session.declare_subscriber(keys.STATE, ring(2)), reads(client.states.join, self._take_state))
         events = session.declare_subscriber(keys.EVENT, ring(KEPT_EVENTS))
-        self._read(events, reports(Event, self._receiver.received_event))
-        body = reports(BodyReport, self._receiver.received_body)
+        self._read(events, reads(Event.model_validate_json, self._receiver.received_event))
+        body = reads(BodyReport.model_validate_json, self._receiver.received_body)
         self._read(
             session.declare_subscriber(keys.SIM_BODY, ring(2)),
             lambda sample: body(sample) if is_of_physics(sample, self._physics) else None,
         )
-        telemetry = reports(Telemetry, self._receiver.received_telemetry)
+        telemetry = reads(Telemetry.model_validate_json, self._receiver.received_telemetry)
         self._read(session.declare_subscriber(keys.TELEMETRY, ring(2)), telemetry)
         alive = session.liveliness().declare_subscriber(keys.ALIVE, ring(KEPT_EVENTS), history=True)
         self._read(alive, lambda sample: self._receiver.received_token(sample.kind == zenoh.SampleKind.PUT))

@@ -4,6 +4,7 @@ from typing import Final
 
 import pytest
 
+from gateway.robot.core.events import Announce, EmergencyStop, Reset
 from gateway.robot.core.rules import Rules
 from schemas.robot import LEGS, SERVO_IDS
 from tests.support.scenes import Scenes, play, scene_test
@@ -22,6 +23,14 @@ def test_a_silent_leg_is_stopped() -> None:
         expirations 1
         due never
         watchdogs expired idle idle idle idle idle""")
+
+
+def test_an_emergency_stop_and_its_reset_name_the_session_that_asked() -> None:
+    robot = Scenes()
+    robot.take(10, EmergencyStop("anna", source_id="a1"))
+    assert (robot.only(Announce).source, robot.only(Announce).source_id) == ("anna", "a1")
+    robot.take(20, Reset(number=1, estop=1, source="ben", source_id="b2"))
+    assert (robot.only(Announce).source, robot.only(Announce).source_id) == ("ben", "b2")
 
 
 def test_an_event_for_each_cause_names_the_legs_that_ran_or_waited_to_start() -> None:
