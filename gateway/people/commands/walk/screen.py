@@ -22,6 +22,7 @@ from rich.text import Text
 
 from gateway.errors import GatewayError, LeaseError, ZenohError
 from gateway.people.client.blocking import Client
+from gateway.people.client.lease import Lease
 from gateway.people.client.walk import Walk
 from gateway.people.commands import reach
 from gateway.people.commands.reach import Connection
@@ -136,6 +137,7 @@ class WalkScreen:
         """`holder`: our name as the lease has it."""
         self._client = client
         self._holder = holder
+        self._lease: Lease | None = None  # of its own, after `holder`'s was lost
         self._walk: Walk = client.walk(gait, geometry, terrain=terrain)
         self._height_m = height_m
         self._pad = Keypad()
@@ -256,7 +258,8 @@ class WalkScreen:
 
     def _go_on(self) -> None:
         if not self._drives:
-            self._client.lease(source=reach.me()).acquire()  # the end of the client releases it
+            self._lease = self._client.lease(source=reach.me())  # the end of the client releases it
+            self._lease.acquire()
         if self._client.state().mode == Mode.ESTOPPED:
             self._client.reset()
         self._walk.start_again()
