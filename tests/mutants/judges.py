@@ -101,7 +101,7 @@ JUDGES: Final = {
     "gateway/robot/blackbox/recorder.py": (*_CONDUCTOR, *_robot("incident_copies telemetry"), *_people("ring")),
     # rules of the people's wing, with the time as an argument
     "gateway/rate_limit.py": _tests("unit", "rate_limit"),
-    "gateway/people/watching/confirmed_stop.py": _people("confirmed_stop stop_status console_pages client_times"),
+    "gateway/people/watching/confirmed_stop.py": _people("stop_status console_pages client_times"),
     "gateway/people/client/pace.py": _people("client_times stream"),
     "gateway/people/client/patience.py": _people("client_times"),
     "gateway/people/client/renewal.py": _people("lease_renewal client_times"),

@@ -45,7 +45,7 @@ BAD: Final[tuple[tuple[str, Message, str], ...]] = (
 )
 """What ROS peers must not send, of each topic one or two: topic, message and what the diagnostics say.
 
-None of it moves anything. All: tests/unit/people/test_ros2_joints.py.
+None of it moves anything. All: tests/unit/people/test_ros2_robot.py.
 """
 
 
