@@ -13,7 +13,7 @@ count bytes from 1, as docs/protocol.md does.
 """
 
 import enum
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -145,8 +145,11 @@ def frame_of(targets: tuple[tuple[int, ServoOp], ...]) -> Frame:
     return OneLeg(first // 10, (one, two, three))
 
 
-def bytes_of(targets: Iterable[tuple[int, ServoOp]]) -> bytes:
-    """Return SERVO ID, OP, INT and FLOAT of each target, as in a frame."""
+def bytes_of(targets: Sequence[tuple[int, ServoOp]]) -> bytes:
+    """Return SERVO ID, OP, INT and FLOAT of each target, as in a frame. Unrolled for a leg's, a third of the time."""
+    if len(targets) == 3:
+        (one, one_op), (two, two_op), (three, three_op) = targets
+        return _IDS[one] + one_op.data + _IDS[two] + two_op.data + _IDS[three] + three_op.data
     return b"".join([_IDS[servo_id] + op.data for servo_id, op in targets])
 
 

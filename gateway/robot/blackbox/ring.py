@@ -77,10 +77,10 @@ class RecordRing:
 
     def append(self, kind: int, ns: int, rest: bytes) -> None:
         """Write a record, in several slots if it does not fit in one."""
-        part, more = rest[:ROOM], len(rest) > ROOM
-        self.put(pack_head(len(part) + HEAD_BYTES, kind, more, self.sequence, ns) + part)
-        if more:
-            self.append(form.MORE, ns, rest[ROOM:])
+        while len(rest) > ROOM:
+            self.put(pack_head(ROOM + HEAD_BYTES, kind, 1, self.sequence, ns) + rest[:ROOM])
+            kind, rest = form.MORE, rest[ROOM:]
+        self.put(pack_head(len(rest) + HEAD_BYTES, kind, 0, self.sequence, ns) + rest)
 
     def put(self, body: bytes) -> None:
         """Write a one-slot record. `body` begins with its head, which has the number `sequence`."""
