@@ -31,7 +31,6 @@ export class Camera {
       const { name, alone } = this.#wanted;
       say(name ? `The camera ${name}, ${alone ? "alone" : "with the robot"}.` : "No camera is shown, so the walk does not depend on one.");
     });
-    new ResizeObserver(() => this.#look()).observe(byId("picture"));
     show(byId("camera-next"), true);
   }
 
@@ -49,6 +48,7 @@ export class Camera {
 
   /** @param {number} nowMs */
   refresh(nowMs) {
+    this.#look(); // the window may have another size
     const old = this.old(nowMs);
     const age = (this.#ageMs(nowMs) / 1000).toFixed(old ? 1 : 2);
     attribute(byId("picture"), "data-old", old ? "yes" : "no");
@@ -75,9 +75,8 @@ export class Camera {
     attribute(byId("picture"), "data-alone", alone ? "yes" : "no");
     attribute(byId("camera-next"), "aria-pressed", String(name !== ""));
     const seen = this.canvas.checkVisibility() ? name : "";
-    if (seen === this.name) return;
+    if (seen === this.name || !this.link.sendNow({ type: "camera", shown: seen || null })) return;
     [this.name, this.takenMs, this.trouble] = [seen, -Infinity, ""];
-    this.link.sendNow({ type: "camera", shown: seen || null });
     this.turn += 1;
     if (seen) void this.#follow(this.turn);
   }
