@@ -84,7 +84,7 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
         ByHand("a reset sent before the second emergency stop leaves it", "self.number += 1", "self.number += first"),
     ),
     "gateway/model/calibration.py": (
-        ByHand("two joints get each other's angles", "(ops[0], ops[1], ops[2])", "(ops[0], ops[2], ops[1])"),
+        ByHand("a leg's joints get the first one's calibration", "cdeg_of(each,", "cdeg_of(frame.servos[0][0],"),
     ),
     "gateway/robot/core/lease.py": (
         ByHand("who has handed the robot over goes on driving it", "_give(to, None,", "_give(to, self._token,"),
