@@ -45,7 +45,7 @@ class Repeats:
     """The repeats owed to one servo."""
 
     left: int = 0
-    due_ns: int = 0
+    due_ns: int = 0  # mutants accepted (Step): the first Stop sets it
 
 
 class StopSchedule:
@@ -64,7 +64,6 @@ class StopSchedule:
         """The number of rounds after a Stop while nothing runs; 0 once the service ends, which waits for none."""
         self.due_ns: int | None = None
         """When the next repeat or round is due; as of the last `plan`."""
-        self.begin()
 
     def begin(self) -> None:
         """Begin a step."""
@@ -116,6 +115,7 @@ class StopSchedule:
         by_leg = ((leg, [each for each in leg.servos if each.servo_id in due]) for leg in self._legs) if due else ()
         return [stop for leg, servos in by_leg for stop in stops(leg, servos, Cause.REPEAT)]
 
+    # mutants accepted (AddNot, AndWithOr, Delete_Not): the longer way finds nothing; no runs are left while legs run
     def round(self, now_ns: int, *, ran: bool, runs: bool) -> list[Transmit]:
         """Return the Stops for legs at rest. Call it at the end of a step.
 
@@ -152,7 +152,6 @@ class StopSchedule:
 
     # ---- when
 
-    # mutants accepted (Gt_GtE, Step): equal times; the next Stop sets the runs anew
     def plan(self, now_ns: int, *, ran: bool, runs: bool, rests: bool) -> None:
         """Set the next times at the end of a step. `rests`: a leg is at rest."""
         if not runs or not ran or self._round_ns is None:
@@ -162,6 +161,7 @@ class StopSchedule:
             times.append(self._round_ns)
         self.due_ns = min(times) if times else None
 
+    # mutants accepted (Step): the next Stop sets the runs anew
     def _plan_round(self, now_ns: int, *, runs: bool) -> None:
         """A leg that starts ends the runs and begins the rounds."""
         rules = self._rules

@@ -240,6 +240,38 @@ def test_while_others_run_each_leg_at_rest_gets_a_stop_every_800_ms() -> None:
 
 
 AT_REST: Final = {
+    "a stop of all legs ends the rounds": """
+        rules rest_runs=1
+        100 leg 1 start 90
+        200 estop
+        due 1300""",
+    "a round precedes the frame of its step": """
+        rules timeout_ms=10000
+        100 leg 1 start 90
+        900 leg 1 set 80 → repeat 2 stop; …; repeat 6 stop; command 1 set 80; …""",
+    "the stops that join a silent leg's are repeated": """
+        rules repeats=1, rest_runs=0
+        20 time
+        100 leg 1 start 90
+        200 leg 2 start 90
+        350 time → watchdog 1 stop; announce watchdog_expired
+        joined 3456
+        360 leg 2 set 91
+        370 time → repeat 1 stop; repeat 3 stop; repeat 4 stop; repeat 5 stop; repeat 6 stop""",
+    "a bus that opens again owes each repeat anew": """
+        rules repeats=1, rest_runs=0
+        20 time
+        100 leg 1 stop
+        101 fail
+        102 open
+        due 122""",
+    "while nothing runs all pending repeats leave with the first": """
+        rules repeats=1, rest_runs=0
+        20 time
+        100 leg 1 stop
+        110 leg 2 stop
+        120 time → repeat 1 stop; repeat 2 stop
+        130 time → nothing""",
     "legs at rest are stopped with a silent leg and those that run are not": """
         100 leg 1 start 90
         200 leg 2 start 90
