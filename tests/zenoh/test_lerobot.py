@@ -27,6 +27,7 @@ from tests.support.waiting import wait_until
 EXAMPLE: Final = Path(__file__).parents[2] / "examples" / "lerobot"
 LEROBOT: Final = Path(sys.prefix) / "lerobot" / "bin"
 """`make .venv/lerobot`."""
+OFFLINE: Final = {**os.environ, "HF_HUB_OFFLINE": "1"}
 ACTION: Final = {"forward.vel": 0.05, "left.vel": 0.0, "turn.vel": 0.1, "gait": 1.0}
 
 gateway = gateway_fixture({**patient(4000), "telemetry": {"frames": True}})
@@ -132,9 +133,8 @@ def lerobot(command: str, gateway: Gateway, folder: Path | None, *options: str) 
     robot = ["--robot.type=hexapod", f"--robot.endpoint={gateway.endpoint}"]
     if folder is not None:
         robot += ["--dataset.repo_id=me/ride", f"--dataset.root={folder / 'ride'}", "--play_sounds=false"]
-    environment = {**os.environ, "HF_HUB_OFFLINE": "1"}
     return subprocess.run(
-        [LEROBOT / command, *robot, *options], env=environment, capture_output=True, text=True, check=False
+        [LEROBOT / command, *robot, *options], env=OFFLINE, capture_output=True, text=True, check=False
     )
 
 
@@ -165,7 +165,7 @@ def test_the_released_lerobot_records_loads_and_replays(gateway: Gateway, watche
         seen = f"--robot.cameras={front}", "--dataset.video=false"
         recorded = lerobot("lerobot-record", gateway, tmp_path, *RECORD, *seen, "--dataset.episode_time_s=10")
     assert recorded.returncode == 0, recorded.stderr
-    with Child([str(LEROBOT / "python"), "-c", LOAD, str(tmp_path / "ride")], os.environ) as child:
+    with Child([str(LEROBOT / "python"), "-c", LOAD, str(tmp_path / "ride")], OFFLINE) as child:
         assert child.wait(300) == 0, child.stderr
         loaded = json.loads(child.stdout.splitlines()[-1])
     assert loaded["names"] == [*ACTION]
