@@ -60,7 +60,7 @@ export class Lease {
       this.#renewEvery((message.ttl_ms ?? USUAL_TTL_MS) / RENEWALS_PER_TTL);
       this.callbacks.got();
       const got = this.wanted && did !== "take" ? "You drive: the lease was handed over to you. Press to move." : GOT;
-      this.callbacks.say(() => (this.mine ? got : ""));
+      this.callbacks.say(() => (this.mine && this.model.live(performance.now()) ? got : ""));
       this.wanted = false;
     } else if (!message.mine && had) {
       const { end: cause, holder: by, silent_s } = message;
