@@ -246,6 +246,14 @@ def test_a_frame_that_repeats_a_servo_s_angle_begins_the_time_for_its_next_step(
     assert pace.step(servo, NS_PER_S + 5 * NS_PER_MS, NS_PER_S, lands=False).angle_cdeg == 50
 
 
+def test_a_stop_after_which_the_last_frame_is_unknown_forgets_the_angle() -> None:
+    servo = in_state(RUNNING)
+    servo.stop("estop", 6, 7, RobotCalibration())
+    assert servo.known == (20_00, 7, RobotCalibration())
+    servo.stop("startup", 8, 9, None)
+    assert servo.known is None
+
+
 def test_no_frame_moves_a_running_servo_without_a_target() -> None:
     servo = in_state(RUNNING)
     servo.drop()
