@@ -25,7 +25,7 @@ _PIP: Final = ("etc/pip.conf", "etc/hosts", "etc/resolv.conf", "etc/ssl/certs/ca
 """This machine's way to the packages."""
 _RUN: Final = """
 mount -t proc proc "$1/proc"; mount --rbind /dev "$1/dev"; mount -t tmpfs -o mode=1777 tmpfs "$1/tmp"
-python=python3; [ -z "$3" ] || { mount --bind "$3" "$1/opt"; python=/opt/bin/python3; }
+python=python3; [ -z "$3" ] || { mount --bind "$3" "$1/opt"; chroot "$1" ldconfig /opt/lib; python=/opt/bin/python3; }
 exec chroot "$1" su - person -c "umask 077; ${2:+export LANG=$2;} rm -rf tree &&
     git clone -q /src.bundle tree && cd tree && $python --version && make test PYTHON=$python"
 """

@@ -45,8 +45,9 @@ def test_the_list_in_the_docs_is_the_page_and_no_web_page_reads_it_by_a_name_of_
         expires = value(page, "hexapod_certificate_expiry_timestamp_seconds", file="gateway.pem")
         assert expires == pytest.approx(time.time() + certs.LEAF_DAYS * 86400, abs=100)
         for path in ("/", "/metric", "/metrics/more", "/favicon.ico"):
-            with pytest.raises(urllib.error.HTTPError, match="404"):
+            with pytest.raises(urllib.error.HTTPError, match="404") as missing:
                 urllib.request.urlopen(f"http://{here}{path}", timeout=10)
+            missing.value.close()
         for headers, status in (
             ({"Host": here}, 200),
             ({"Host": f"127.0.0.2:{port}"}, 200),
