@@ -91,7 +91,7 @@ def test_angles_are_sent_no_faster_than_asked(made: Any, watcher: Client) -> Non
     assert all(90 < angle <= 95 for angle in sent.values()), "0.1 s at the most"
     wait_until(lambda: len(last_angles(written.all)) == 18, "all servos", 20)
     robot.disconnect()
-    assert not any(leg.running for leg in watcher.state().legs)
+    wait_until(lambda: not any(leg.running for leg in watcher.state().legs), "rest", 20)
 
 
 def test_an_emergency_stop_ends_the_episode_with_a_sentence(made: Any, watcher: Client) -> None:

@@ -1,6 +1,7 @@
 """A command whose standard output cannot be written ends with a sentence, however Python buffers."""
 
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -29,16 +30,21 @@ PRINTS: Final = (
     "status", "status --json", "status --follow", "status --follow --json", "walk --seconds 0.1",
     "decode 06 02 20 02 00 00", "decode 06 02 20 02 00 00 --json",
     "calibrate export", "calibrate landing --yes", "calibrate import {folder}/calibration --yes",
-    "certs init --host localhost --dir {own}", "certs issue {name} --role observer --dir {folder}/certs",
-    "certs renew gateway --dir {folder}/certs", "certs revoke {name} --dir {folder}/certs",
-    "certs list --dir {folder}/certs", "certs list --json --dir {folder}/certs",
+    "certs init --host localhost --dir {own}", "certs issue {name} --role observer --dir {certs}",
+    "certs renew gateway --dir {certs}", "certs revoke {name} --dir {certs}",
+    "certs list --dir {certs}", "certs list --json --dir {certs}",
     "record {own}.mcap --for 0.1", "incidents list --config {config}", "incidents list --json --config {config}",
     "incidents show last --config {config}", "incidents show last --json --config {config}",
     "incidents export last {own}-incident.mcap --config {config}", "check --config {config}",
     "check --json --config {config}",
 )  # fmt: skip
 SERVES: Final = ("run", "console")  # they go on; tests/unit/test_host.py
-PRINTS_NOTHING: Final = {"stop-servos --config /nowhere": 2, "setup --dry-run": 2, "ros2 --domain -1": 2}
+PRINTS_NOTHING: Final = {
+    "incidents replay last --json --config /nowhere": 2,
+    "stop-servos --config /nowhere": 2,
+    "setup --dry-run": 2,
+    "ros2 --domain -1": 2,
+}
 
 gateway = gateway_fixture()
 
@@ -63,6 +69,7 @@ def failing(gateway: Gateway, folder: Path, command: str) -> Iterator[tuple[str,
     for where, buffered in product(WHY, ("yes", "no")):
         name = f"of-{where}-{buffered}"
         own = {"folder": folder, "own": folder / name, "name": name, "config": folder / "gateway.toml"}
+        own["certs"] = shutil.copytree(folder / "certs", folder / f"{name}-certs", dirs_exist_ok=True)
         yield where, Child([*FAILING, where, buffered, *command.format(**own).split()], environment)
 
 

@@ -168,7 +168,7 @@ def test_all_that_the_gateway_publishes_is_in_the_file_and_as_the_files_own_sche
     assert json.loads(newest.model_dump_json()) in in_file
     assert found[STATE]
     assert [event["reason"] for event in found[EVENT] if event["kind"] == "command_rejected"] == ["servo_stopped"]
-    assert len(found[FRAMES][-1].transforms) == 24
+    assert len(found[FRAMES][-1].transforms) == 25
     assert len(found[JOINT_STATES][-1].name) == 18
     assert found[LOG]
     assert about(path)["watchdog"]["timeout_ms"] == 2000, "whose recording it is"
