@@ -9,13 +9,17 @@ from contextlib import ExitStack
 from itertools import product
 from pathlib import Path
 from typing import IO, Any, Final
+from zlib import compress
 
 import pytest
 
 from gateway import certs
 from gateway.model import black_box as form
 from gateway.robot.blackbox import ring as rings
+from gateway.robot.blackbox.journal import Keyframes
 from gateway.robot.blackbox.ring import RecordRing
+from gateway.robot.core.rules import Rules
+from gateway.robot.core.supervisor import Supervisor
 from tests.support.child import Child
 from tests.support.command import program
 from tests.support.fixtures import gateway_fixture
@@ -35,6 +39,7 @@ PRINTS: Final = (
     "certs list --dir {certs}", "certs list --json --dir {certs}",
     "record {own}.mcap --for 0.1", "incidents list --config {config}", "incidents list --json --config {config}",
     "incidents show last --config {config}", "incidents show last --json --config {config}",
+    "incidents replay last --config {config}", "incidents replay last --json --config {config}",
     "incidents export last {own}-incident.mcap --config {config}", "check --config {config}",
     "check --json --config {config}",
 )  # fmt: skip
@@ -57,6 +62,7 @@ def folder(gateway: Gateway, tmp_path_factory: pytest.TempPathFactory) -> Path:
     certs.folder.issue(folder / "certs", "anna", certs.OPERATOR)
     write_settings(folder / "gateway.toml", {"state": {"path": str(folder / "state")}, "spi": {"framing": "plain"}})
     ring = RecordRing(rings.prepare(folder / "state"), 100)
+    ring.append(form.KEYFRAME, 1, compress(Keyframes(Supervisor(Rules())).take()))
     ring.append(form.INCIDENT, 5, form.fields(WALL_NS, "20260921-141320-123-watchdog"))
     ring.close()
     (folder / "calibration").write_text(gateway.run("calibrate", "export").stdout)
