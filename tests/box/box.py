@@ -105,7 +105,7 @@ class Box(Closing):
 
     @property
     def root(self) -> Path:
-        """Return its root, as it is seen from outside."""
+        """Return the path of its root directory outside the box."""
         return Path(f"/proc/{self._pid}/root")
 
     def command(self, *command: str) -> list[str]:

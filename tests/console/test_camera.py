@@ -12,19 +12,14 @@ from tests.console.test_still_page import SIZES, overlap_nowhere
 from tests.console.test_walk import push
 from tests.support.camera_server import CameraServer
 from tests.support.console_process import Console
-from tests.support.fixtures import gateway_fixture, patient, session_fixture
+from tests.support.fixtures import camera_fixture, gateway_fixture, patient, session_fixture
 from tests.support.gateway_process import Gateway
 
 pytestmark = pytest.mark.browser
 
 gateway = gateway_fixture(patient())
 session = session_fixture()
-
-
-@pytest.fixture(scope="module")
-def camera() -> Iterator[CameraServer]:
-    with CameraServer() as running:
-        yield running
+camera = camera_fixture()
 
 
 @pytest.fixture(scope="module")

@@ -100,7 +100,7 @@ def worst(values: Sequence[float]) -> str:
 
 
 LINKS: Final[dict[str, dict[str, float]]] = {
-    "as it is": {},
+    "unlimited": {},
     "1 Mbit/s": {"bits_a_second": 1e6},
     "200 ms there and back": {"delay_s": 0.1},
 }

@@ -7,6 +7,7 @@ from typing import Any, Literal
 import pytest
 
 from gateway.client import Client
+from tests.support.camera_server import CameraServer
 from tests.support.console_process import Console, SignedIn
 from tests.support.gateway_process import Gateway
 
@@ -77,3 +78,14 @@ def session_fixture(scope: Scope = "module") -> Any:
         return console.sign_in()
 
     return session
+
+
+def camera_fixture() -> Any:
+    """Return a fixture: a camera's server for a module."""
+
+    @pytest.fixture(scope="module")
+    def camera() -> Iterator[CameraServer]:
+        with CameraServer() as running:
+            yield running
+
+    return camera

@@ -57,7 +57,7 @@ _COMMAND = re.compile(r"(?P<quoted>`?)hexapod-gateway (?P<rest>[^`→]*)")
 _OWN = re.compile(r"\{run\[([^]]*)\]\}")
 _PLACEHOLDER = re.compile(r"\{[^}]*\}")
 _VALUE = re.compile(r"[A-Z][A-Z_0-9]*\b|.*[/.\d]")
-"""No word of a sentence."""
+"""A value on a command line: no word of prose matches."""
 _NO_VALUE = frozenset({"//", "(7)"})
 _END = ",;:.)"
 

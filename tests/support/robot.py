@@ -111,7 +111,7 @@ class Robot(Messages):
         self.loop.call_later(BEAT_S, self._beat)
 
     def sleep_through(self, seconds: float) -> None:
-        """Stop the whole process for so long, between two turns of its loop."""
+        """Stop the whole process for this time, between two iterations of its event loop."""
         self._instants += round(seconds * 1e9)
 
     def _open(self) -> FaultyController:

@@ -341,7 +341,7 @@ RECORDED = [
 def from_the_future(value: Any) -> Any:
     """Return the same with a new field in every object, and every word that a list of known ones has changed.
 
-    Where an object's names are servos it stays as it is: there are no others.
+    An object whose names are servos does not change, since there are no others.
     """
     if isinstance(value, list):
         return [from_the_future(inner) for inner in value]

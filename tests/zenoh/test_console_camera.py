@@ -11,7 +11,7 @@ import pytest
 from gateway.client import Client
 from tests.support.camera_server import CameraServer
 from tests.support.console_process import NOBODY, Console, Page, SignedIn, opened
-from tests.support.fixtures import client_fixture, gateway_fixture, patient, session_fixture
+from tests.support.fixtures import camera_fixture, client_fixture, gateway_fixture, patient, session_fixture
 from tests.support.gateway_process import Gateway
 from tests.support.waiting import Closing, meanwhile
 from tests.zenoh.test_console_walk import STEP_S, Pad, acquire, gets, is_free, posture, stands, walk, walks
@@ -20,13 +20,8 @@ OLD: Final = "the picture was "
 
 gateway = gateway_fixture(patient())
 session = session_fixture()
+camera = camera_fixture()
 robot = client_fixture("watcher", rests=True)
-
-
-@pytest.fixture(scope="module")
-def camera() -> Iterator[CameraServer]:
-    with CameraServer() as running:
-        yield running
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""The client's rules of time in virtual time; what a gateway publishes, and why no connection comes about."""
+"""The client's rules of time in virtual time; what a gateway publishes; the causes of a failed connection."""
 
 import asyncio
 import datetime as dt
