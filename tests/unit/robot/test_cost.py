@@ -31,6 +31,7 @@ def bytecodes(call: Callable[[], None]) -> tuple[int, int]:
 
     def trace(frame: FrameType, event: str, _: Any) -> Any:
         nonlocal executed
+        frame.f_trace = trace  # from Python 3.13 on the next line has an effect only on a frame that is traced already
         frame.f_trace_opcodes, frame.f_trace_lines = True, False
         if event == "opcode" and frame.f_code.co_filename.startswith(OURS):
             executed += 1
@@ -38,6 +39,7 @@ def bytecodes(call: Callable[[], None]) -> tuple[int, int]:
         return trace
 
     before = sys.gettrace()
+    sys._getframe().f_trace_opcodes = True  # Python 3.12 traces opcodes only if a frame wanted them before settrace
     sys.settrace(trace)
     try:
         call()
