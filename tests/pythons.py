@@ -13,6 +13,8 @@ import time
 from pathlib import Path
 from typing import Final
 
+from tests.support.runs import ENDS_WITH_US
+
 ROOT: Final = Path(__file__).parents[1]
 CACHE: Final = ROOT / "build" / "pythons"
 SUITES: Final = {"bookworm": "", "trixie": "", "forky": "de_DE.UTF-8"}
@@ -49,7 +51,7 @@ def _tried(name: str) -> str:
     root = _made("bookworm" if between else name)
     head = ["git", "-C", str(ROOT), "-c", "safe.directory=*"]
     subprocess.run([*head, "bundle", "create", "--quiet", str(root / "src.bundle"), "HEAD"], check=True)
-    command = ["unshare", "--mount", "--pid", "--fork", "--kill-child", "bash", "-ec", _RUN, "sh", str(root)]
+    command = [*ENDS_WITH_US, "bash", "-ec", _RUN, "sh", str(root)]
     begun_s = time.monotonic()
     code, told = _run([*command, SUITES.get(name, ""), str(between[0]) if between else ""])
     return f"{'✗' if code else '✓'} {name}: {', '.join(told)}; with its installation {time.monotonic() - begun_s:.0f} s"
@@ -73,7 +75,7 @@ def _made(suite: str) -> Path:
         shutil.rmtree(root, ignore_errors=True)
         root.mkdir(parents=True)
         script = _SCRIPTS / suite if (_SCRIPTS / suite).exists() else _SCRIPTS / "sid"
-        command = ["debootstrap", "--variant=minbase", f"--include={_PACKAGES}", suite, str(root)]
+        command = [*ENDS_WITH_US, "debootstrap", "--variant=minbase", f"--include={_PACKAGES}", suite, str(root)]
         subprocess.run([*command, "http://deb.debian.org/debian", str(script)], check=True, stdout=subprocess.DEVNULL)
         for name in _PIP:
             if Path("/", name).exists():

@@ -10,12 +10,18 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import FrameType
-from typing import Final
-
-import pytest
+from typing import TYPE_CHECKING, Final
 
 from tests.support.waiting import Closing
 
+if TYPE_CHECKING:  # a robot on which scenes run has none
+    import pytest
+
+ENDS_WITH_US: Final = (
+    *("setpriv", "--pdeathsig", "KILL"),
+    *("unshare", "--mount", "--pid", "--fork", "--kill-child", "--mount-proc"),
+)
+"""What a command starts ends with it, and the command with this process, however that ends. Needs root."""
 LIST: Final = "TESTS_FAILED"
 """The environment variable that names the list, for the stages."""
 _WIDTH, _MOST = 200, 20
@@ -35,7 +41,7 @@ def listed() -> Iterator[None]:
                 print(line)
 
 
-def add(report: pytest.TestReport) -> None:
+def add(report: "pytest.TestReport") -> None:
     """Add a failed test to the run's list, if there is one; a worker's reports come to its controller, too."""
     path = os.environ.get(LIST)
     if report.failed and path and "PYTEST_XDIST_WORKER" not in os.environ:

@@ -199,11 +199,12 @@ def serve(number: int) -> None:
 def _imported() -> Callable[[], None]:
     """Import the gateway, and make what is imported stay where it is. Returns its command."""
     import gateway  # noqa: PLC0415
+    from gateway.errors import ConfigError  # noqa: PLC0415
 
     for module in pkgutil.walk_packages(gateway.__path__, "gateway."):
         name = module.name.rpartition(".")[2]
         if name != "__main__" and not module.name.endswith(_NEEDS_ROS):
-            with suppress(ImportError):
+            with suppress(ImportError, ConfigError):  # an extra is missing, and the module may say so
                 importlib.import_module(module.name)
     for name in ("spidev", "serial", "can"):
         with suppress(ImportError):

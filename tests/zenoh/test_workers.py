@@ -1,7 +1,17 @@
-"""The workers of a run of tests, some of which end."""
+"""Processes that tests start: workers of a run, programs where an extra is missing, what ends with its run."""
+
+import os
+import select
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
+from tests.box.box import lacks_tools
+from tests.support.child import Child
+from tests.support.lacks import skip_where
+from tests.support.runs import ENDS_WITH_US, children
 from tests.support.schedule import TESTS
 
 pytest_plugins = ("pytester",)
@@ -29,3 +39,37 @@ def test_workers_that_end_are_replaced_and_the_tests_that_ended_them_do_not_run_
         "test_one.py::test_it[4]",
         "test_other.py::test_it[4]",
     ]
+
+
+def test_programs_are_forked_where_an_extra_is_missing(tmp_path: Path) -> None:
+    """A module then may end what imports it, with what to type instead of a traceback."""
+    for extra in ("foxglove", "aiohttp", "mujoco"):
+        (tmp_path / f"{extra}.py").write_text(f"raise ImportError('no {extra}')")
+    imported = [sys.executable, "-c", "from tests.support import zygote; zygote._imported()"]
+    done = subprocess.run(
+        imported, cwd=TESTS.parent, env={"PYTHONPATH": str(tmp_path)}, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_scenes_need_no_tools_of_tests() -> None:
+    """A robot on which they are played has the package, and no pytest."""
+    found = "import sys, tests.kernel.inside.scenes; print({'pytest', 'hypothesis'} & {*sys.modules})"
+    done = subprocess.run([sys.executable, "-c", found], cwd=TESTS.parent, capture_output=True, text=True, check=True)
+    assert done.stdout == "set()\n"
+
+
+@pytest.mark.full
+def test_what_is_to_end_with_its_run_does_if_the_run_is_killed() -> None:
+    skip_where(lacks_tools("what ends with its run is", "setpriv", "unshare"))
+    command = [*ENDS_WITH_US, "sh", "-c", "sleep 1000 & echo sleeps; wait"]
+    with Child([sys.executable, "-c", f"import subprocess; subprocess.run({command})"], os.environ) as run:
+        run.wait_for_output("sleeps")
+        (namespace,) = children(run.pid)
+        (first,) = children(namespace)
+        ends = [os.pidfd_open(each) for each in (first, *children(first))]
+        assert len(ends) == 2
+        run.kill()
+        for each in ends:
+            assert select.select([each], [], [], 30)[0]
+            os.close(each)
