@@ -164,8 +164,8 @@ def serve(number: int) -> None:
     command = _imported()
     channel = socket.socket(fileno=number)
     until_s = time.monotonic() + 30
-    while len(os.listdir("/proc/self/task")) > 1:  # a thread that has ended is there until the kernel removes it
-        assert time.monotonic() < until_s, "a fork would miss a thread"
+    while len(threads := os.listdir("/proc/self/task")) > 1:  # a thread is there until the kernel removes it
+        assert time.monotonic() < until_s, f"a fork would miss {[_name(thread) for thread in threads]}"
         time.sleep(0.001)
     channel.sendall(READY)
     poll = select.poll()
@@ -196,18 +196,23 @@ def serve(number: int) -> None:
             end.sendall(f"{pid}\n".encode())
 
 
+def _name(thread: str) -> str:
+    with suppress(OSError):  # it has ended
+        return Path(f"/proc/self/task/{thread}/comm").read_text(encoding="utf-8").strip()
+    return ""
+
+
 def _imported() -> Callable[[], None]:
     """Import the gateway, and make what is imported stay where it is. Returns its command."""
     import gateway  # noqa: PLC0415
-    from gateway.errors import ConfigError  # noqa: PLC0415
 
-    for module in pkgutil.walk_packages(gateway.__path__, "gateway."):
+    for module in pkgutil.walk_packages(gateway.__path__, "gateway.", onerror=lambda _: None):
         name = module.name.rpartition(".")[2]
         if name != "__main__" and not module.name.endswith(_NEEDS_ROS):
-            with suppress(ImportError, ConfigError):  # an extra is missing, and the module may say so
+            with suppress(Exception):  # a fork that needs the module imports it again, and then its error shows
                 importlib.import_module(module.name)
     for name in ("spidev", "serial", "can"):
-        with suppress(ImportError):
+        with suppress(Exception):
             importlib.import_module(name)
     from gateway.__main__ import main  # noqa: PLC0415
 
