@@ -6,7 +6,7 @@ name and an interface for more; what parso, its parser, does not know is `match`
 
 Only its operators are used. Its own runner writes each mutant into the working tree and starts pytest anew: seconds for
 each, and a robot's program with a fault in it where somebody ends the run. Here a process is forked for each, with the
-tests loaded, and no file is written (judging.py, exchange.py).
+libraries loaded, and no file is written (judging.py).
 
 judges.py: which tests judge which file. by_hand.py: what no operator can make. Scores are judged by one
 floor (__main__.py). A mutant that no test need notice is accepted by a comment with its operator's

@@ -76,10 +76,11 @@ def judge(file: str, sample: int | None) -> Counter[str]:
     found: Counter[Outcome] = Counter()
     survivors: list[Mutant] = []
     try:
-        for number, verdict in verdicts(Subject(ROOT, file, JUDGES[file], tuple(mutant.source for mutant in todo))):
+        judged = verdicts(Subject(ROOT, file, JUDGES[file], tuple(mutant.source for mutant in todo)))
+        for mutant, verdict in zip(todo, judged, strict=True):
             found[verdict.outcome] += 1
             if verdict.outcome is Outcome.SURVIVED:
-                survivors.append(todo[number])
+                survivors.append(mutant)
     except TestsFailError as error:
         print(f"{file}: its tests fail without a mutant, so they can judge nothing: {error}", flush=True)
         return Counter(right=False)

@@ -1,16 +1,14 @@
 """Makes the mutants of a file, and reads which of them its comments accept."""
 
 import ast
+import itertools
 import re
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import takewhile
 from typing import Final, NamedTuple
 
-import parso
-from cosmic_ray.ast import ast_nodes
-from parso.tree import BaseNode, Leaf, NodeOrLeaf
+from cosmic_ray.mutating import mutate_code
 
 from tests.mutants.operators import operators
 
@@ -72,54 +70,19 @@ def mutants_of(source: str) -> list[Mutant]:
     """
     seen = {_meaning(source)}
     found: list[Mutant] = []
-    for operator, mutated in mutations(source):
-        try:
-            meaning = _meaning(mutated)
-        except SyntaxError:
-            continue
-        if meaning not in seen:
-            seen.add(meaning)
-            found.append(_mutant(source, mutated, operator))
-    return found
-
-
-def mutations(source: str) -> Iterator[tuple[str, str]]:
-    """Operators by name, each with one mutated source that it makes.
-
-    As cosmic-ray's `mutate_code`, which parses the file anew for each of them: half a minute for a long one.
-    """
-    tree = parso.parse(source)
-    nodes = list(ast_nodes(tree))
     for name, operator in operators().items():
-        for node in nodes:
-            for index in range(len(list(operator.mutation_positions(node)))):
-                with _as_it_is(node):
-                    mutated = operator.mutate(node, index)
-                    yield name, _exchanged(tree, node, mutated)
-
-
-@contextmanager
-def _as_it_is(node: NodeOrLeaf) -> Iterator[None]:
-    """Afterwards the node, and what it is made of, is as before."""
-    kept = list(node.children) if isinstance(node, BaseNode) else []
-    leaves = [(leaf, leaf.value, leaf.prefix) for leaf in (node, *kept) if isinstance(leaf, Leaf)]
-    yield
-    if isinstance(node, BaseNode):
-        node.children = kept
-    for leaf, value, prefix in leaves:
-        leaf.value, leaf.prefix = value, prefix
-
-
-def _exchanged(tree: BaseNode, node: NodeOrLeaf, mutated: NodeOrLeaf | None) -> str:
-    """Return the source with another node, or none, in the place of this one."""
-    parent = node.parent
-    assert parent is not None
-    kept = parent.children
-    place = [each is node for each in kept].index(True)
-    parent.children = [*kept[:place], *([] if mutated is None else [mutated]), *kept[place + 1 :]]
-    source: str = tree.get_code()
-    parent.children = kept
-    return source
+        for place in itertools.count():
+            mutated = mutate_code(source, operator, place)
+            if mutated is None:
+                break
+            try:
+                meaning = _meaning(mutated)
+            except SyntaxError:
+                continue
+            if meaning not in seen:
+                seen.add(meaning)
+                found.append(_mutant(source, mutated, name))
+    return found
 
 
 def _mutant(source: str, mutated: str, operator: str) -> Mutant:
