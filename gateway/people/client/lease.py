@@ -19,7 +19,7 @@ from gateway.errors import GatewayError, LeaseError, LeaseLostError, UnansweredE
 from gateway.people.client import stopped
 from gateway.people.client.lease_requests import Requests
 from gateway.people.client.renewal import Holds, Renewal
-from gateway.people.client.subscriptions import weakly
+from gateway.people.client.subscriptions import undeclare, weakly
 from schemas.telemetry import Ack, Event, GatewayState, Kind, Reason, Telemetry
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ class Lease:
         """The answer to the latest request of `acquire`."""
         self._news = threading.Event()
         self._asked_by: str | None = None
-        self._subscriber: Any = None
+        self._subscribers: list[Any] = []
         self._thread = threading.Thread(target=_keep, args=(ref(self), self._news), name="renew the lease", daemon=True)
         self.holder = ""
         """Our name at the gateway: the certificate's person, else `source`, else the client's name."""
@@ -171,7 +171,7 @@ class Lease:
             raise RuntimeError("a lease is used once; make a new one with `lease()`")
         if (other := self._client.carried_lease) is not None and other.held:
             raise RuntimeError("this client holds a lease already; a stream and a walk acquire one")
-        self._subscriber = self._client.on_event(weakly(self._receive))
+        self._subscribers.append(self._client.on_event(weakly(self._receive)))
         try:
             ack = self._acquired()
             if not _TOKEN.fullmatch(ack.lease or ""):
@@ -229,7 +229,7 @@ class Lease:
         if self.held:
             return max(0.0, self._renewal.due_s - time.monotonic())
         if self.lost is not None:
-            self._unsubscribe()
+            undeclare(self._subscribers)
             if self._on_lost is not None:
                 self._on_lost(self.lost)
         return None
@@ -314,13 +314,7 @@ class Lease:
             self._renewal.end(how)
             self.token = None
         self._news.set()
-        self._unsubscribe()
-
-    def _unsubscribe(self) -> None:
-        subscriber, self._subscriber = self._subscriber, None
-        if subscriber is not None:
-            with suppress(zenoh.ZError):  # the client is closed
-                subscriber.undeclare()
+        undeclare(self._subscribers)
 
 
 class LentLease(Lease):

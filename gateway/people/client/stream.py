@@ -14,8 +14,6 @@ from datetime import datetime
 from types import TracebackType
 from typing import Any, Final, NoReturn, Self
 
-import zenoh
-
 from gateway.errors import (
     DisconnectedError,
     GatewayError,
@@ -29,7 +27,7 @@ from gateway.people.client import pace, stopped
 from gateway.people.client.lease import CONFIRM_S, NOT_OURS, DrivingClient, Lease, own_lease
 from gateway.people.client.payloads import LegAngles, Setpoints, Unit, legs_angles, legs_payload, setpoints
 from gateway.people.client.stopped import ReceivedEvent
-from gateway.people.client.subscriptions import weakly
+from gateway.people.client.subscriptions import undeclare, weakly
 from gateway.words.text import legs_named
 from schemas import keys
 from schemas.telemetry import Ack, Event, GatewayState, Kind, LegReport, Reason, WatchdogState
@@ -217,10 +215,7 @@ class Stream:
         finally:
             self._sending.release()
             self._release()
-            subscribers, self._subscribers = self._subscribers, []
-            with suppress(zenoh.ZError):  # the client is closed
-                for each in subscribers:
-                    each.undeclare()
+            undeclare(self._subscribers)
 
     @property
     def is_over(self) -> bool:

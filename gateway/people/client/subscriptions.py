@@ -1,8 +1,8 @@
 """Subscriptions to a gateway's reports. Invalid ones are skipped: without access control any program may publish."""
 
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from typing import Any, Final, TypeVar
 from weakref import WeakMethod
@@ -85,13 +85,8 @@ def weakly(method: Callable[[T], None]) -> Callable[[T], None]:
     return call
 
 
-@contextmanager
-def subscribed(session: zenoh.Session, handlers: Mapping[str, Any]) -> Iterator[list[Any]]:
-    """Subscribe to each key for the time of a `with`; a handler is a callback, on a Zenoh thread, or a channel."""
-    subscribers = [session.declare_subscriber(key, handler) for key, handler in handlers.items()]
-    try:
-        yield subscribers
-    finally:
-        for subscriber in subscribers:
-            with suppress(zenoh.ZError):
-                subscriber.undeclare()
+def undeclare(subscribers: list[Any]) -> None:
+    """End these subscriptions, also of a closed session, and empty the list."""
+    while subscribers:
+        with suppress(zenoh.ZError):
+            subscribers.pop().undeclare()

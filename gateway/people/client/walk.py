@@ -17,6 +17,7 @@ from gateway.people.client.lease import DrivingClient, Lease, own_lease
 from gateway.people.client.pace import Retries
 from gateway.people.client.process_end import WalkSignals
 from gateway.people.client.stream import Stream, checked_hz, not_open
+from gateway.people.client.subscriptions import undeclare
 from gateway.people.walking.balance import ReceivedTelemetry, terrain_named
 from gateway.people.walking.gait_speed import Distance
 from gateway.people.walking.gaits import gait as gait_named
@@ -86,7 +87,6 @@ class Walk:
         gait_named(gait)
         self._terrain = terrain_named(terrain)
         self._measured = ReceivedTelemetry()
-        self._sensors: zenoh.Subscriber[None] | None = None
         self._client = client
         self._gait = gait
         if not isinstance(geometry, Geometry):
@@ -105,7 +105,7 @@ class Walk:
         self._closing = False
         self._signals = WalkSignals()
         self._newest = Newest()
-        self._reports: zenoh.Subscriber[None] | None = None
+        self._subscribers: list[zenoh.Subscriber[None]] = []
         self._ticks = 0
         self._awaited: Posture | None = None  # which a call waits for, until it is reached
 
@@ -251,9 +251,10 @@ class Walk:
             raise RuntimeError("this client walks already")
         self._lease = own_lease(self._client)
         try:
-            self._reports = self._client.on_state(self._take)
+            self._subscribers.append(self._client.on_state(self._take))
             if self._terrain == "adapt":
-                self._sensors = self._client.on_telemetry(lambda new: self._measured.take(new, time.monotonic()))
+                measured = self._client.on_telemetry(lambda new: self._measured.take(new, time.monotonic()))
+                self._subscribers.append(measured)
             state = self._ask(None)
             self._ride = Ride(
                 self._robot(state),
@@ -320,10 +321,7 @@ class Walk:
                 self._ride.silences = silences
 
     def _release(self) -> None:
-        for subscriber in (self._reports, self._sensors):
-            if subscriber is not None:
-                with suppress(zenoh.ZError):  # the client is closed
-                    subscriber.undeclare()
+        undeclare(self._subscribers)
         if self._lease is not None:
             self._lease.release()
 

@@ -20,7 +20,7 @@ from pydantic import BaseModel, ValidationError
 from gateway import __version__
 from gateway.errors import AddressTakenError, ConfigError, GatewayError
 from gateway.geometry import Geometry, load
-from gateway.people.client.subscriptions import States, subscribed
+from gateway.people.client.subscriptions import States
 from gateway.people.commands.reach import Connection
 from gateway.people.recorder.drawing import (
     CAMERAS,
@@ -222,9 +222,8 @@ class ReportQueue:
         self.invalid = 0
         """The count of invalid reports."""
 
-    @contextmanager
-    def receives(self, session: zenoh.Session) -> Iterator[None]:
-        """Subscribe, and queue what is received."""
+    def subscribe(self, session: zenoh.Session) -> None:
+        """Queue what is received, until the session is closed."""
 
         def receive(key: str, sample: zenoh.Sample) -> None:
             if key == SIM_BODY and not is_of_physics(sample, self._physics):
@@ -232,8 +231,8 @@ class ReportQueue:
             else:
                 self.put(key, sample.payload.to_bytes())
 
-        with subscribed(session, {key: partial(receive, key) for key in REPORTS}):
-            yield
+        for key in REPORTS:
+            session.declare_subscriber(key, partial(receive, key))
 
     def put(self, key: str, payload: bytes) -> None:
         """Queue an entry that is received now, or count it as dropped. For any thread."""
@@ -315,7 +314,8 @@ def record(
         if client.states.config is not None:
             reports.put(CONFIG, client.states.config.model_dump_json().encode())
         pictures = fetched(found, reports.put_picture) if found else nullcontext()
-        with reports.receives(client.session), on_end_signals(reports.end), pictures:
+        reports.subscribe(client.session)
+        with on_end_signals(reports.end), pictures:
             if path is not None and state.telemetry.frames is False:
                 hint(
                     "The gateway publishes no frames, so the recording will have none: set telemetry.frames = true in "

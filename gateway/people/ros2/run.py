@@ -19,7 +19,7 @@ from zenoh.handlers import RingChannel
 
 from gateway.errors import ConfigError, UnansweredError
 from gateway.geometry import load
-from gateway.people.client.subscriptions import States, subscribed
+from gateway.people.client.subscriptions import States
 from gateway.people.commands.reach import Connection
 from gateway.people.ros2 import messages as ros
 from gateway.people.ros2 import robot
@@ -198,9 +198,9 @@ def serve(
             at_the_end.callback(node.close)
             topics = Topics(node, driving, shape, joints, hint)
             node.serve("estop", driving.estop, always=True)
-            received = at_the_end.enter_context(subscribed(client.session, CHANNELS))
+            received = {key: client.session.declare_subscriber(key, ring) for key, ring in CHANNELS.items()}
             reports = Reports(
-                dict(zip(CHANNELS, received, strict=True)),
+                received,
                 topics,
                 node.parameters(parameters),
                 client.states,

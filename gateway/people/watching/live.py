@@ -14,7 +14,7 @@ from pydantic import ValidationError
 
 from gateway.errors import GatewayError, UnansweredError
 from gateway.people.client.blocking import Client
-from gateway.people.client.subscriptions import KEPT_EVENTS, reads
+from gateway.people.client.subscriptions import KEPT_EVENTS, reads, undeclare
 from gateway.people.watching.silence import CHECK_EVERY_S, Silence
 from schemas import keys
 from schemas.telemetry import Ack, BodyReport, Event, GatewayState, Telemetry
@@ -186,8 +186,7 @@ class Live:
 
     def _close(self) -> None:
         with suppress(*ERRORS):
-            while self._subscribers:
-                self._subscribers.pop().undeclare()
+            undeclare(self._subscribers)
         with suppress(*ERRORS):
             if self.client is not None:
                 self.client.close()
