@@ -394,20 +394,25 @@ class LandingHistory:
             demand(servo.on and op.op is Op.SET, f"{servo_id} is started by a landing")
             first, last = self.ways_cdeg[servo_id]
             stood_cdeg = servo.written_cdeg or 0
-            part_ns = min(now_ns - self.began_ns, self.parts_ns.get(servo_id, 0) + rules.period_ns, length_ns)
-            self.parts_ns[servo_id] = part_ns
-            line_cdeg = first + (last - first) * part_ns // length_ns
-            edges = gap(servo_id, stood_cdeg, last)
-            if edges is not None and min(edges) < line_cdeg < max(edges):
-                line_cdeg = edges[0]
-            off_cdeg = abs(line_cdeg - op.angle_cdeg)
-            crosses = gap(servo_id, stood_cdeg, line_cdeg) is not None
-            if servo_id in rules.max_speed_cdeg_s and (op.angle_cdeg != stood_cdeg or crosses):
-                between = sorted((stood_cdeg, line_cdeg))
-                follows = between[0] - rounded_cdeg <= op.angle_cdeg <= between[1] + rounded_cdeg
-                demand(follows, f"{servo_id} follows its line")
-                most_cdeg = rules.max_speed_cdeg_s[servo_id] * min(now_ns - servo.said_ns, rules.period_ns) // NS_PER_S
-                demand(crosses or abs(op.angle_cdeg - stood_cdeg) <= most_cdeg + 1, f"{servo_id} goes too fast")
-            else:
-                demand(off_cdeg <= rounded_cdeg or op.angle_cdeg == stood_cdeg, f"{servo_id} leaves its straight line")
+            gone_ns = min(now_ns - self.began_ns, length_ns)
+            self.parts_ns[servo_id] = part_ns = min(gone_ns, self.parts_ns.get(servo_id, 0) + rules.period_ns)
+            # A frame's step is rounded up, so a late landing may be ahead of its slots' parts, and never of its time.
+            lines_cdeg = []
+            for line_ns in (part_ns, gone_ns):
+                line_cdeg = first + (last - first) * line_ns // length_ns
+                edges = gap(servo_id, stood_cdeg, last)
+                waits = edges is not None and min(edges) < line_cdeg < max(edges)
+                lines_cdeg.append(edges[0] if edges is not None and waits else line_cdeg)
+            crosses = any(gap(servo_id, stood_cdeg, line_cdeg) is not None for line_cdeg in lines_cdeg)
+            limited = servo_id in rules.max_speed_cdeg_s and (op.angle_cdeg != stood_cdeg or crosses)
+            nearest, farthest = min(lines_cdeg) - rounded_cdeg, max(lines_cdeg) + rounded_cdeg
+            if limited:
+                nearest, farthest = min(nearest, stood_cdeg - rounded_cdeg), max(farthest, stood_cdeg + rounded_cdeg)
+            on_line = nearest <= op.angle_cdeg <= farthest or op.angle_cdeg == stood_cdeg
+            demand(on_line, f"{servo_id} leaves its straight line")
+            most_cdeg = -(-abs(last - first) * rules.period_ns // length_ns)
+            if limited:
+                own_cdeg = rules.max_speed_cdeg_s[servo_id] * min(now_ns - servo.said_ns, rules.period_ns) // NS_PER_S
+                most_cdeg = min(most_cdeg, own_cdeg)
+            demand(crosses or abs(op.angle_cdeg - stood_cdeg) <= most_cdeg + 1, f"{servo_id} goes too fast")
             servo.written_cdeg, servo.said_ns, servo.bound_cdeg = op.angle_cdeg, now_ns, None
