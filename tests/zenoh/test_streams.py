@@ -14,8 +14,7 @@ from schemas.telemetry import GatewayState
 from tests.support.gateway_process import Gateway
 from tests.support.heard import frames, last_angles, states
 
-# On a busy machine the gateway reads a stream in clumps, as a backlog.
-pytestmark = [pytest.mark.full, pytest.mark.alone]
+pytestmark = pytest.mark.full
 
 LEG: Final = {"servos": [{"op": "OP", "angle_deg": angle_deg} for angle_deg in (90, 45, 120)]}
 SENT: Final[dict[str, dict[str, object]]] = {
