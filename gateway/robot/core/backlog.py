@@ -77,10 +77,12 @@ class Backlog:
         # A program that waits for each answer may be faster than a stream.
         least_ns = 1 if command.verb is _GET else rules.apart_ns
         alone = instant_ns - since_ns >= least_ns
-        if alone:
-            stretch.score = max(0, stretch.score - 1)
-        else:
+        if not alone:
             stretch.score = min(rules.most_clumped, stretch.score + CLUMPED)
+        elif stretch.score:
+            stretch.score -= 1
+            for servo_id in self.held.keys() & stretch.servos if not stretch.score else ():
+                self._judged_ns[servo_id] = now_ns + 1  # judged in the next step
 
     # mutants accepted (Forget): without a waiting start both do nothing
     def hold(self, command: Command, now_ns: int) -> None:

@@ -220,6 +220,8 @@ class Supervisor:
         """Return until when a command for running servos meets no rule but the lease (ns); 0: it may meet one now."""
         if self.mode is not Mode.ACTIVE or not self._has_usual or self.legs.landing_ends_ns is not None:
             return 0
+        if self.backlog.held:  # a message may end its wait
+            return 0
         if any(each.closed or each.down is not None for each in self._interlocks if each is not self.lease):
             return 0
         return NEVER if self.due_ns is None else self.due_ns

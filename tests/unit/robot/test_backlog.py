@@ -345,6 +345,15 @@ SCENES: Final = {
         490 leg 1 start 90
         490 leg 1 start 90 → completed 27 coalesced
         500 time → rejected 28 stale""",
+    "a start leaves as soon as no key that addresses it has a score": f"""{RULES}
+        100 legs 12 start 90 (key legs)
+        100 legs 12 start 90 (key legs)
+        110 legs 2 set 80 (key legs)
+        115 time → nothing
+        139 legs 2 set 80 (key legs)
+        140 time → nothing
+        141 legs 2 set 80 (key legs) → completed 4 coalesced; command 2 start 80; completed 5
+        141.000001 time → command 1 start 90; completed 2 coalesced""",
     "a start that waits for its judgement keeps no other leg waiting": f"""{STAGGERED}
         100 leg 2 start 90 (key two)
         100 leg 2 start 90 (key two)
