@@ -395,8 +395,8 @@ class RobotHistory:
 
     def named(self, transmit: Transmit, command: int) -> None:
         """A frame names the commands that it carries out, so that the answer of one that fails later names its leg."""
-        ready = self.ungated(transmit.frame.leg)
-        says = [servo_id for servo_id, _ in transmit.frame.servos if servo_id in ready or transmit.frame.is_stop]
+        ready, stops = self.ungated(transmit.frame.leg), transmit.frame.is_stop
+        says = [each for each, op in transmit.frame.servos if stops or (each in ready and op is not STOP)]
         wants = {want.number for servo_id in says if (want := self.servos[servo_id].want)}
         named = {each.number for each in transmit.commands}
         demand(named >= {each.number for each in transmit.done}, "a frame completes what it carries out, if anything")
