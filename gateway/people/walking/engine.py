@@ -73,6 +73,8 @@ class Engine:
         self._cap: tuple[object, float] = (None, 1.0)
         """The latest velocity, stance and gait, and the part (0 to 1) of it whose strides fit into the discs."""
         self._wanted: deque[Stance | None] = deque(maxlen=1)
+        self._brakes = False
+        """Whether a walk ends at once, as `brake` says."""
         self.state = State(BodyPose(0.0), {}, {}, odometry=odometry)
         """The robot after the latest step; the pose of a lost leg is its last commanded one."""
         self.find(angles_deg or {})
@@ -94,7 +96,7 @@ class Engine:
             return self.pose
         self._begin_what_is_wanted()
         before, pace, slowest, holds = self.state, 1.0, 0, False
-        pending = before.sits or before.moves or self._wanted or self._next_gait or self.lost
+        pending = before.sits or before.moves or self._wanted or self._next_gait or self.lost or self._brakes
         target = STILL if pending or self._barred or before.goes_over(velocity) else velocity
         if self._cap[0] != (key := (target, self.stance, self._gait)):
             most = gait_speed.TEMPO_SPARE / self._least_tempo
@@ -127,6 +129,10 @@ class Engine:
     def sit(self) -> None:
         """End the walk and lie down, so that the servos may be stopped."""
         self._wanted.append(None)
+
+    def brake(self) -> None:
+        """End the walk within `HALT_S`, not with its step: the body stops, and feet in the air come straight down."""
+        self._brakes, self.state.brake_s = True, 0.0
 
     def walk_as(self, gait: str) -> None:
         """Change the gait. A walk pauses until that is done. Raises WalkError for an unknown gait."""
@@ -209,6 +215,7 @@ class Engine:
         state = self.state
         if state.swings or state.velocity.moves or state.moves or self.lost:
             return
+        self._brakes = False
         if self._next_gait is not None:
             self.gait_name, self._gait = self._next_gait, gaits.gait(self._next_gait)
             self._next_gait = None
@@ -264,7 +271,7 @@ class Engine:
         self._hurry(state, target, seconds)
         stops_s = (
             gait_speed.HALT_S
-            if self.lost
+            if self.lost or self._brakes
             else min(gait_speed.needs_s(state.velocity), gait_speed.STOPS_WITHIN * self._gait.period_s)
         )
         velocity = gait_speed.slewed(state, target, seconds, stops_s)
@@ -281,7 +288,8 @@ class Engine:
         for leg, swing in list(state.swings.items()):
             self._swing(state, leg, swing, seconds, felt.feet.get(leg))
         standing = [leg for leg in LEGS if leg not in state.swings]
-        due = [leg for leg in standing if self._is_due(leg, state.clock)] if velocity.moves and not self.lost else []
+        lifts = velocity.moves and not (self.lost or self._brakes)
+        due = [leg for leg in standing if lifts and self._is_due(leg, state.clock)]
         stay = [leg for leg in standing if leg not in due]
         if due and len(stay) >= _LEAST_FEET and balanced(self.robot, state, stay):  # else those that are due wait
             state.swings.update({leg: Swing(state.feet[leg]) for leg in due})
@@ -294,7 +302,7 @@ class Engine:
         gait, velocity = self._quick, state.velocity
         left = carried(swing.left, velocity, seconds)
         part = min(swing.part + seconds / gait.swing_s, 1.0)
-        if transitions.across(swing.part) == 1.0:  # above its landing place: it comes straight down
+        if self._brakes or transitions.across(swing.part) == 1.0:  # it comes straight down
             x, y, _ = carried(state.feet[leg], velocity, seconds)
         else:
             rest, wide = self.stance.feet[leg], min(1.0, self.corrected_rad / WIDE_RAD)
@@ -307,6 +315,9 @@ class Engine:
         height_m = min(
             LIFT_M, swing.left[2] * (1.0 - transitions.across(part)) + self._lift_m * transitions.up(part, self._climb)
         )
+        if self._brakes and part < 1.0:
+            height_m = gait_speed.dropped(state.feet[leg][2], seconds)
+            part = max(swing.part, 0.5) if height_m else 1.0
         if swing.met_now(touches) and not swing.met:
             state.lateness = state.lateness.after(swing.late_s or (part - 1.0) * gait.swing_s)
         swing = swing._replace(left=left, part=part)

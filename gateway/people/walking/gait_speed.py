@@ -34,8 +34,8 @@ SPEED_SPARE: Final = 0.95
 """The usable part of a servo's speed: the gateway measures from its own last frame, whose time varies a little."""
 STOPS_WITHIN: Final = 0.35
 """The part of a stride after which a walk that ends has velocity 0: its last swing then ends within the stride."""
-HALT_S: Final = 0.15
-"""The time to stop after the loss of a leg."""
+HALT_S: Final = 0.12
+"""The time of a walk's end at once. Feet come down no faster than those of the quickest gait."""
 
 
 def least(robot: Robot) -> float:
@@ -92,6 +92,11 @@ def slewed(state: State, target: Velocity, seconds: float, stops_s: float) -> Ve
     part = max(0.0, left_s / state.brake_s)
     state.brake_s = max(0.0, left_s)
     return now.times(part) if part > ALMOST else STILL
+
+
+def dropped(height_m: float, seconds: float) -> float:
+    """Return a foot's height on its way straight down, which it reaches without a shock within `HALT_S`."""
+    return max(0.0, math.sqrt(max(height_m, 0.0)) - math.sqrt(LIFT_M) * seconds / HALT_S) ** 2
 
 
 MOST_M: Final = 20.0

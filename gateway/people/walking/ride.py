@@ -68,7 +68,7 @@ class Wish(NamedTuple):
     """The body's height; None: the usual height."""
     sits: bool = False
     barred: str = ""
-    """Why its velocity may not be driven now. This uses up the press."""
+    """Why its velocity may not be driven now. This uses up the press, and the walk ends at once, not with its step."""
 
 
 USUAL_SILENCES: Final = Silences()
@@ -208,6 +208,7 @@ class Ride:
             self.start_again()
         if wish.barred and wish.velocity.moves and not wish.sits and wish.press > self.spent:
             self._spend(wish.barred)
+            self._engine.brake()
         if self.over or self.error is not None:
             return
         if wish.press <= self.spent or self._leaving:

@@ -12,6 +12,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
 from gateway.errors import GatewayError, RejectedError, StoppedError, WalkError
 from gateway.people.commands.walk import screen
 from gateway.people.console.pages.page_walk import SILENCES as PAGE
+from gateway.people.walking.gait_speed import HALT_S
 from gateway.people.walking.motion import STILL, Posture, Velocity
 from gateway.people.walking.ride import GIVES_UP_S, USUAL_SILENCES, Phase, Ride, RideTask, Silences, Wish
 from gateway.people.walking.robot import FEED_S, Robot
@@ -531,10 +532,13 @@ def test_a_barred_wish_stands_and_only_a_new_press_goes_on_while_stand_and_sit_d
 
     holds(1.0, Wish(1, AHEAD))
     assert ridden.posture is Posture.WALKING
-    holds(0.1, Wish(1, AHEAD, barred=why))
+    holds(HALT_S + 2 * TICK_S, Wish(1, AHEAD, barred=why))
     assert (ride.state.commanded, ride.detail, ride.spent) == (STILL, why, 1)
+    assert ride.state.posture is Posture.STANDING, "at once, not with the step's end"
+    stood = len(ridden.sent)
     holds(2.0, Wish(1, AHEAD))
     assert (ridden.posture, ride.detail) == (Posture.STANDING, why)
+    assert not moved(ridden, stood)
     holds(1.0, Wish(2, height_m=0.13, barred=why))
     assert ride.detail == ""
     assert ride.body.height_m == pytest.approx(0.13)

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from gateway.errors import WalkError
 from gateway.geometry import load
+from gateway.people.walking import gait_speed
 from gateway.people.walking.engine import Engine
 from gateway.people.walking.gaits import GAITS, NUMBERS, gait, phase
 from gateway.people.walking.motion import STILL, BodyPose, Posture, Velocity
@@ -72,6 +73,26 @@ def test_a_walk_ends_in_any_phase_within_a_stride_on_six_feet(of: str) -> None:
         assert len(legs_that_carry(ended.engine)) == 6
         assert all(foot[2] == 0 for foot in ended.engine.state.feet.values())
         walked.run(0.46, Velocity(0.3, 0.05))
+
+
+@pytest.mark.parametrize("name", ["default", "elkapod"])
+@pytest.mark.parametrize("of", sorted(GAITS))
+def test_a_walk_that_brakes_in_any_phase_stands_at_once_and_goes_on_from_there(name: str, of: str) -> None:
+    walked, ahead = standing(robot(name), of), Velocity(0.3, 0.05, 0.2)
+    walked.run(2.0, ahead)
+    for _ in range(9):
+        ended = walked.copy()
+        ended.engine.brake()
+        ended.run(TICK_S, ahead)
+        took_s = TICK_S + ended.until(Posture.STANDING, 1.0)
+        assert took_s <= gait_speed.HALT_S + 1.5 * TICK_S
+        assert all(foot[2] == 0 for foot in ended.engine.state.feet.values())
+        stood = ended.engine.pose
+        ended.tick()
+        assert ended.engine.pose == stood
+        ended.run(1.0, ahead)
+        assert ended.engine.posture is Posture.WALKING
+        walked.run(0.14, ahead)
 
 
 @pytest.mark.parametrize("of", sorted(GAITS))

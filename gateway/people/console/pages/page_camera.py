@@ -4,7 +4,9 @@ The console decides by what it knows: a picture is shown once the page has asked
 or whose picture does not arrive, moves nothing.
 """
 
-from gateway.rate_limit import NS_PER_MS
+import math
+
+from gateway.rate_limit import NS_PER_MS, NS_PER_S
 
 
 class PageCamera:
@@ -26,11 +28,18 @@ class PageCamera:
         if name == self._name:
             self._taken_ns = taken_ns
 
-    def bars(self, now_ns: int) -> str:
-        """Return why nothing may be driven by the picture, without a full stop; "" if it may."""
+    def left_s(self, now_ns: int) -> float:
+        """Return how long the picture may still be driven by; inf without a camera. For any thread."""
+        taken_ns = self._taken_ns
         if self._name is None or not self._stale_ns:
+            return math.inf
+        return 0.0 if taken_ns is None else max(0.0, (taken_ns + self._stale_ns - now_ns) / NS_PER_S)
+
+    def bars(self, now_ns: int) -> str:
+        """Return why nothing may be driven by the picture, without a full stop; "" if it may. For any thread."""
+        taken_ns = self._taken_ns
+        if self.left_s(now_ns):
             return ""
-        if self._taken_ns is None:
+        if taken_ns is None:
             return "no picture was shown yet; wait for one, or hide the camera"
-        age_ns = now_ns - self._taken_ns
-        return "" if age_ns < self._stale_ns else f"the picture was {age_ns / 1e9:.1f} s old"
+        return f"the picture was {(now_ns - taken_ns) / NS_PER_S:.1f} s old"

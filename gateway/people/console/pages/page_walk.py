@@ -12,6 +12,7 @@ wish and never waits for the thread, so no STOP ALL does either.
 
 import asyncio
 import logging
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -25,6 +26,7 @@ from gateway.errors import GatewayError
 from gateway.people.client.lease import LentLease
 from gateway.people.client.walk import Walk
 from gateway.people.console.link import Shared
+from gateway.people.console.pages.page_camera import PageCamera
 from gateway.people.console.pages.page_messages import Message, WalkWish, walk_message
 from gateway.people.walking.motion import Velocity
 from gateway.people.walking.ride import Ride, Silences, Wish
@@ -55,31 +57,30 @@ class PageWalks:
         """Whether a walk of this page may run legs."""
         self._changed = threading.Condition()
         """Held for an assignment at a time only, since the pages' loop takes it too."""
-        self._wish: tuple[WalkWish, float, str] | None = None
-        """The newest wish that was not used yet, when it came, and why its press may not be driven."""
+        self._camera = PageCamera(0)
+        """The camera of the page that sent the newest wish."""
+        self._wish: tuple[WalkWish, float] | None = None
+        """The newest wish that was not used yet, and when it came."""
         self._newest: WalkWish
         """The newest wish that was used."""
+        self._came_s = -math.inf
         self._spent = -1
         """The newest press that is used up."""
         self._ending = False
         self._then: list[Callable[[], None]] = []
 
-    def take(self, wish: WalkWish, token: str | None, barred: str = "") -> None:
-        """Store a fresh wish, or begin a walk by it. `token` is the page's lease; without it no walk begins.
-
-        `barred`: why nothing may be driven by the page's picture; "" if it may.
-        """
+    def take(self, wish: WalkWish, token: str | None, camera: PageCamera) -> None:
+        """Store a fresh wish, or begin a walk by it. `token` is the page's lease; without it no walk begins."""
         if not self.active and (wish.press <= self._spent or wish.sits):
             return
         with self._changed:
-            if self._wish is not None and self._wish[0].press == wish.press:
-                barred = barred or self._wish[2]  # it was, and only a new press goes on
-            self._wish = wish, time.monotonic(), barred
+            self._wish, self._camera = (wish, time.monotonic()), camera
             self._changed.notify()
         if self.active:
             return
         self._newest, self._spent, self._ending = wish, wish.press, False
-        why = "this page does not have the lease" if token is None else barred if _velocity(wish).moves else ""
+        barred = camera.bars(time.monotonic_ns()) if _velocity(wish).moves else ""
+        why = "this page does not have the lease" if token is None else barred
         if token is None or why:
             self.send(walk_message(wish.press, why))
             return
@@ -151,15 +152,18 @@ class PageWalks:
                 walk.close(sits=False)
 
     def _obey(self, walk: Walk) -> None:
-        """Give the ride the newest wish, or the page's end."""
+        """Give the ride the newest wish, that its picture is too old, or the page's end."""
         with self._changed:
             if self._wish is None:
-                self._changed.wait(WISH_WAIT_S)
+                fresh_s = self._camera.left_s(time.monotonic_ns())
+                self._changed.wait(min(WISH_WAIT_S, fresh_s or WISH_WAIT_S))
             taken, self._wish = self._wish, None
         if taken is not None:
-            self._newest, came_s, barred = new, *_ = taken
+            self._newest, self._came_s = taken
+        barred, new = self._camera.bars(time.monotonic_ns()), self._newest
+        if taken is not None or barred:
             wish = Wish(new.press, _velocity(new), new.gait, new.height_m, new.sits, barred)
-            walk.use(lambda ride, _: ride.wish(wish, came_s))
+            walk.use(lambda ride, _: ride.wish(wish, self._came_s))
         if self._ending:
             walk.use(Ride.leave)
 

@@ -284,7 +284,7 @@ class Page:
             case messages.WalkWish():
                 if self._is_late(message.sent_ms, self._wishes) is None:
                     token = self._lease.token if self._lease.mine else None
-                    self._walks.take(message, token, self.camera.bars(time.monotonic_ns()))
+                    self._walks.take(message, token, self.camera)
             case messages.PlainRequest(type="upright"):
                 self._ask(message.id, self._link.set_upright)
             case messages.StopButtonRequest():
