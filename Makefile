@@ -162,12 +162,14 @@ $(VENV)/rclpy: $(VENV)/dev
 			> lib/python3.11/site-packages/beside.pth \
 		|| { rm -rf $(abspath $@); echo "rclpy could not be installed, so the tests with ROS 2 itself are skipped"; }
 
-# The released LeRobot for the test of examples/lerobot. It needs a later Python than $(VENV) may have, and gigabytes.
+# The released LeRobot, and its source with its own tests, for those of examples/lerobot. It needs a later Python than $(VENV) may have, and gigabytes.
 $(VENV)/lerobot: $(VENV)/dev
 	@python=$$(ls ~/.pyenv/versions/3.12.*/bin/python 2>/dev/null | tail -1); \
 	python=$${python:-$$(command -v python3.12 || command -v python3.13 || echo false)}; \
 	echo "Installing LeRobot into $@ (some minutes) …"; \
-	$$python -m venv --clear $@ && $@/bin/pip install --quiet --disable-pip-version-check -e . -e examples/lerobot \
+	$$python -m venv --clear $@ && $@/bin/pip install --quiet --disable-pip-version-check -e . -e examples/lerobot pytest \
+		&& $@/bin/pip download --quiet --disable-pip-version-check --no-deps --no-binary lerobot --dest $@/source \
+			$$($@/bin/pip freeze --disable-pip-version-check | grep ^lerobot==) \
 		|| { rm -rf $(abspath $@); echo "LeRobot could not be installed, so its tests are skipped"; }
 
 # Root, or sudo without a password, installs what is missing; anyone else is told by the skipped tests. `APT=no` installs

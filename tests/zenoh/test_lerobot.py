@@ -6,6 +6,7 @@ import re
 import runpy
 import subprocess
 import sys
+import tarfile
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -181,6 +182,43 @@ def test_the_released_lerobot_records_loads_and_replays(gateway: Gateway, watche
     assert driven.returncode == 0, driven.stderr
     assert len(last_angles(written.all)) == 18
     assert watcher.state().lease.holder is None
+
+
+OWN_TESTS: Final = "tests/test_control_robot.py"
+"""Of LeRobot's released source: its wheel has no tests, and all others of its robots are about one device's parts."""
+STAND_INS: Final = {
+    "__init__.py": "",
+    "mocks/mock_robot.py": """
+import os
+from functools import partial
+from lerobot_robot_hexapod import HexapodConfig
+MockRobotConfig = partial(HexapodConfig, endpoint=os.environ["ENDPOINT"])
+""",
+    "mocks/mock_teleop.py": """
+from functools import partial
+from lerobot_robot_hexapod import HexapodTeleopConfig
+MockTeleopConfig = partial(HexapodTeleopConfig, keys=False)
+""",
+    "fixtures/constants.py": "DUMMY_REPO_ID = 'me/ride'",
+}
+"""What these tests import, which the source lacks: here the hexapod instead of a robot that does nothing."""
+
+
+@pytest.mark.nightly
+@pytest.mark.skipif(not LEROBOT.exists(), reason="make .venv/lerobot")
+def test_lerobots_own_tests_of_a_robot_pass_with_the_hexapod(gateway: Gateway, tmp_path: Path) -> None:
+    """They calibrate, teleoperate, record, resume and replay."""
+    for name, text in STAND_INS.items():
+        (tmp_path / "tests" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "tests" / name).write_text(text)
+    (source,) = LEROBOT.parent.glob("source/lerobot-*.tar.gz")
+    with tarfile.open(source) as archive:
+        (member,) = (each for each in archive if each.name.partition("/")[2] == OWN_TESTS)
+        (tmp_path / OWN_TESTS).write_bytes(archive.extractfile(member).read())  # type: ignore[union-attr]
+    command = [str(LEROBOT / "python"), "-m", "pytest", "-p", "no:cacheprovider", OWN_TESTS]
+    env = {**OFFLINE, "ENDPOINT": gateway.endpoint}
+    done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True, check=False)
+    assert re.search(r"=== \d+ passed in .*===$", done.stdout, re.M), done.stdout
 
 
 @pytest.mark.nightly

@@ -23,8 +23,9 @@ from websockets import Subprotocol
 from websockets.sync.client import ClientConnection, connect
 
 from gateway.client import Client
+from gateway.geometry import load
 from gateway.people.recorder.drawing import DRAWN, FRAMES, JOINT_COMMANDS, JOINT_STATES, LOG, SIM_JOINT_STATES
-from gateway.people.recorder.record import REPORTS
+from gateway.people.recorder.record import REPORTS, Recording, ReportQueue, flush_period_s
 from schemas.keys import EVENT, FRAME, SIM_BODY, STATE, TELEMETRY
 from schemas.telemetry import FrameRecord
 from tests.support.camera_server import CameraServer, jpeg
@@ -206,6 +207,53 @@ def test_a_cameras_pictures_are_in_the_file_and_its_trouble_is_printed(gateway: 
     again = gateway.run("record", str(path), "--camera", "nowhere")
     assert again.returncode == 2
     assert "--camera is no URL" in again.stderr
+
+
+HOURS: Final = float(os.environ.get("RECORD_HOURS", "3"))
+SEEN_S: Final = 20.0
+"""So long a robot is seen walking; that is recorded again and again. A chunk has four seconds, so none gets smaller."""
+
+
+@pytest.mark.nightly
+@pytest.mark.alone
+@pytest.mark.usefixtures("gateway")
+@pytest.mark.parametrize("with_frames", [False, True], ids=["without frames", "with frames"])
+def test_three_hours_of_walking_need_as_much_memory_as_half_an_hour(
+    with_frames: bool, robot: Client, tmp_path: Path
+) -> None:
+    """In virtual time. Prints the size of an hour."""
+    reports = ReportQueue(robot.states, robot.state().physics)
+    with robot.walk() as walk:
+        walk.go(0.05)
+        with reports.receives(robot.session):
+            begun_ns = time.monotonic_ns()
+            while time.monotonic_ns() - begun_ns < SEEN_S * 1e9:
+                walk.go(0.05)
+        reports.end()
+    received = [each for each in iter(lambda: reports.get(0.0), None) if with_frames or each[0] != FRAME]
+    seen_ns = received[-1][2] - received[0][2]
+    recording, path = Recording(load()), tmp_path / "ride.mcap"
+    recording.open_file(path, {}, received[0][2])
+    flushed_ns, memory, sizes = 0, dict[float, int](), dict[float, int]()
+    for turn in range(round(HOURS * 3600e9 / seen_ns)):
+        for key, report, time_ns in received:
+            now_ns = turn * seen_ns + time_ns - received[0][2]
+            recording.add(key, report, now_ns + received[0][2])
+            if now_ns >= flushed_ns:
+                flushed_ns = now_ns + round(1e9 * flush_period_s(now_ns / 1e9))
+                recording.flush()
+        memory[now_ns / 3600e9], sizes[now_ns / 3600e9] = resident_bytes(), path.stat().st_size
+    recording.close()
+    early = max(size for at_h, size in memory.items() if at_h <= HOURS / 6)
+    grown = max(memory.values()) - early
+    per_hour_mb = (max(sizes.values()) - min(sizes.values())) / (max(sizes) - min(sizes)) / 1e6
+    print(f"\n{len(received) / seen_ns * 1e9:.0f} reports a second: {per_hour_mb:.0f} MB an hour; ", end="")
+    print(f"memory after {HOURS / 6:g} h {early / 1e6:.0f} MB, {grown / 1e6:.1f} MB more in {HOURS:g} h", end="")
+    assert grown < 3e6
+
+
+def resident_bytes() -> int:
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
 @pytest.mark.full
