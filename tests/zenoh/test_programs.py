@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from pathlib import Path
+from typing import Final
 
 import pytest
 
@@ -19,6 +20,7 @@ from tests.support.child import Child
 from tests.support.fixtures import gateway_fixture, patient
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events
+from tests.support.waiting import wait_until
 
 POSE = (90.0, 45.0, 120.0)
 NAME = "my gait"
@@ -158,29 +160,53 @@ with Client({gateway.endpoint!r}) as robot, robot.stream(50) as stream:
     assert (closed, runs) == ("no error", "True")
 
 
-@pytest.mark.parametrize(
-    "drives",
-    [
-        "lease = robot.lease(); lease.acquire()",
-        "stream = robot.stream(); stream.open(); stream.set({1: (90, 45, 120)})",
-    ],
-    ids=["lease", "stream"],
-)
+DROPPED: Final = {
+    "lease": "lease = robot.lease(); lease.acquire()",
+    "stream": "stream = robot.stream(); stream.open(); stream.set({1: (90, 45, 120)})",
+    "walk": "walk = robot.walk().open()",
+    "walk that stands": "walk = robot.walk().open(); walk.stand()",
+    "walk that failed": """
+walk = robot.walk().open()
+try:
+    robot.walk().open()
+except RuntimeError:
+    pass
+""",
+    "asyncio, lease": "asyncio.run(leases())",
+    "asyncio, stream": "asyncio.run(streams())",
+    "asyncio, walk": "asyncio.run(walks())",
+}
+
+
+@pytest.mark.parametrize("drives", DROPPED)
 def test_a_program_that_drops_its_client_renews_no_lease_and_can_end(gateway: Gateway, drives: str) -> None:
     program = f"""
-from gateway.client import Client
+import asyncio, gc
+from gateway.client import AsyncClient, Client
+gc.disable()
+async def client():
+    robot = AsyncClient({gateway.endpoint!r}, source="dropped")
+    return await robot.__aenter__()
+async def leases():
+    await (await client()).lease().__aenter__()
+async def streams():
+    stream = await (await client()).stream().open()
+    await stream.set({{1: (90, 45, 120)}})
+async def walks():
+    await (await (await client()).walk().open()).stand()
 robot = Client({gateway.endpoint!r}, source="dropped")
 robot.on_state(lambda state: None)
-{drives}
-lease = stream = robot = None
+{DROPPED[drives]}
+lease = stream = walk = robot = None
 print("dropped", flush=True)
 input()
 """
     with gateway.client() as watcher, Child([sys.executable, "-c", program], os.environ) as child:
         told = events(watcher)
         child.wait_for_output("dropped")
-        expired = told.wait(lambda event: event.kind == Kind.LEASE_EXPIRED)
-        assert expired.source == "dropped"
+        ended = told.wait(lambda event: event.kind in (Kind.LEASE_EXPIRED, Kind.LEASE_RELEASED))
+        assert ended.source == "dropped"
+        wait_until(lambda: not any(leg.running for leg in watcher.state().legs), "rest", 20)
         child.tell("")
         assert child.wait(20) == 0, child.stderr
 

@@ -7,6 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self, TypeVar
+from weakref import finalize
 
 import zenoh
 
@@ -15,7 +16,7 @@ from gateway.geometry import Geometry, load
 from gateway.people.client import stopped
 from gateway.people.client.lease import DrivingClient, Lease, own_lease
 from gateway.people.client.pace import Retries
-from gateway.people.client.process_end import WalkSignals
+from gateway.people.client.process_end import WalkSignals, forked
 from gateway.people.client.stream import Stream, checked_hz, not_open
 from gateway.people.client.subscriptions import undeclare
 from gateway.people.walking.balance import ReceivedTelemetry, terrain_named
@@ -51,7 +52,7 @@ class Walk:
     `rest_s` without a call the robot sits down, and its servos are stopped. The end of the `with` does the same; after
     an error the servos are stopped at once. At `sys.exit`, Ctrl-C, or SIGTERM without a handler in the main thread, the
     robot sits down; a second signal stops it at once. The end of the client, or of the program, closes an open walk. If
-    the process dies, the gateway's watchdog stops the robot.
+    the process dies, the gateway's watchdog stops the robot. A walk that its program drops is closed, too.
 
     A leg that somebody else stops ends the walk: the others are put down and stand still, and every call raises
     StoppedError with that leg in `legs`, until `start_again`. For one thread at a time.
@@ -100,6 +101,7 @@ class Walk:
         self._retries = Retries()
         self._ride: Ride | None = None
         self._thread: threading.Thread | None = None
+        self._inner: Walk | None = None  # this walk for its thread, the client and Zenoh, so that a program may drop it
         self._changed = threading.Condition()  # notified after each change; also the lock of the ride
         self._not_again: Exception | None = None  # why `start_again` failed
         self._closing = False
@@ -250,10 +252,12 @@ class Walk:
         if any(isinstance(each, Walk) for each in self._client.open_parts):
             raise RuntimeError("this client walks already")
         self._lease = own_lease(self._client)
+        self._inner = inner = object.__new__(type(self))
+        inner.__dict__ = self.__dict__
         try:
-            self._subscribers.append(self._client.on_state(self._take))
+            self._subscribers.append(self._client.on_state(inner._take))
             if self._terrain == "adapt":
-                measured = self._client.on_telemetry(lambda new: self._measured.take(new, time.monotonic()))
+                measured = self._client.on_telemetry(lambda new: inner._measured.take(new, time.monotonic()))
                 self._subscribers.append(measured)
             state = self._ask(None)
             self._ride = Ride(
@@ -266,11 +270,13 @@ class Walk:
                 terrain=self._terrain,
             )
         except BaseException:
+            self._inner = None
             self._release()
             raise
-        self._client.open_parts[self] = None
-        self._thread = threading.Thread(target=self._run, name="walk", daemon=True)
+        self._client.open_parts[inner] = None
+        self._thread = threading.Thread(target=inner._run, name="walk", daemon=True)
         self._thread.start()
+        finalize(self, dropped, inner).atexit = False
         return self
 
     def close(self, *, sits: bool = True) -> None:
@@ -286,7 +292,9 @@ class Walk:
             self.end_now()
             if self._thread is not None:
                 self._thread.join()
-            self._client.open_parts.pop(self, None)
+            if self._inner is not None:
+                self._client.open_parts.pop(self._inner, None)
+                self._inner = None
             try:
                 self._end_stream()
             finally:
@@ -445,6 +453,18 @@ class Walk:
         elif not self._closing:
             with self._changed:
                 ride.failed(error if isinstance(error, GatewayError) else WalkError(str(error)))
+
+
+def dropped(walk: Walk) -> None:
+    """Close a walk that its program has dropped: on a thread, since the robot may have to sit down."""
+
+    def close() -> None:
+        with suppress(GatewayError):
+            walk.close()
+
+    if walk._inner is not None and not forked():
+        with suppress(RuntimeError):  # the program has ended
+            threading.Thread(target=close, name="close the walk").start()
 
 
 def robot_of(client: DrivingClient, geometry: Geometry, state: GatewayState) -> Robot:

@@ -74,7 +74,7 @@ class Engine:
         """The latest velocity, stance and gait, and the part (0 to 1) of it whose strides fit into the discs."""
         self._wanted: deque[Stance | None] = deque(maxlen=1)
         self._brakes = False
-        """Whether a walk ends at once, as `brake` says."""
+        """Whether a walk ends at once; see `brake`."""
         self.state = State(BodyPose(0.0), {}, {}, odometry=odometry)
         """The robot after the latest step; the pose of a lost leg is its last commanded one."""
         self.find(angles_deg or {})

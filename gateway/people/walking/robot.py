@@ -151,23 +151,23 @@ class Robot:
             raise WalkError(f"it cannot stand {_pose(body)}: it lies on the ground at {self.lying_m:.3f} m")
         wanted_m = STRIDE_RADIUS_M if walks else LEAST_RADIUS_M
         fits: list[dict[int, Vector]] = []
-        why: WalkError | None = None
+        why = ""
         for reach_m in self._reaches_m:
             feet = self._below(reach_m)
-            if (error := self._why_not(body, feet, 0.0)) is None:
+            if not (error := self._why_not(body, feet, 0.0)):
                 fits.append(feet)
                 error = self._why_not(body, feet, wanted_m)
-            if error is None:
+            if not error:
                 return Stance(body, MappingProxyType(feet), wanted_m)
             why = why or error  # the first is of the place that needs the least force
         if not fits:
-            raise WalkError(f"it cannot stand {_pose(body)}: {why}") from why
+            raise WalkError(f"it cannot stand {_pose(body)}: {why}")
 
         def radius_m(feet: Mapping[int, Vector]) -> float:
             return wanted_m * largest(lambda part: not self._why_not(body, feet, wanted_m * part))
 
         widest = max(fits, key=radius_m)
-        return Stance(body, MappingProxyType(widest), radius_m(widest), str(why))
+        return Stance(body, MappingProxyType(widest), radius_m(widest), why)
 
     def _widened(self, body: BodyPose) -> Mapping[int, Vector]:
         """Return places where feet keep `_WIDE_RADIUS_M` in each lean by WIDE_RAD; if there are none, the stance's."""
@@ -193,8 +193,11 @@ class Robot:
             for leg in LEGS
         }
 
-    def _why_not(self, body: BodyPose, feet: Mapping[int, Vector], radius_m: float) -> WalkError | None:
-        """Return why feet do not reach all of the discs with this radius, or None if they do."""
+    def _why_not(self, body: BodyPose, feet: Mapping[int, Vector], radius_m: float) -> str:
+        """Return why feet do not reach all of the discs with this radius; "" if they do.
+
+        A sentence: an error would hold the frames of all callers, and so a walk that its program drops.
+        """
         turn = body.turn
         try:
             for leg, (x, y, _) in feet.items():
@@ -203,8 +206,8 @@ class Robot:
                         point = x + radius_m * across, y + radius_m * along, up_m
                         self.angles_deg(leg, body.seen(point, turn), _SPARE_DEG)
         except WalkError as error:
-            return error
-        return None
+            return str(error)
+        return ""
 
     def _range(self, servo_id: int, ranges: Mapping[int, Range]) -> Range:
         """Return the range that both the servo and the joint allow."""
