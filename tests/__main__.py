@@ -90,7 +90,7 @@ class Stages:
         self._until_s = time.monotonic() + most_s
 
     def run(self, name: str, *arguments: str) -> bool:
-        """Return whether all its tests have passed; ends this program where they could not be run to their end."""
+        """Return whether all its tests passed. Ends this program if they could not be run to their end."""
         begun_s = time.monotonic()
         process = subprocess.Popen([*_PYTEST, *arguments], process_group=0)
         code = self.ended(process, f"stage {name}")
@@ -100,7 +100,7 @@ class Stages:
         return code == pytest.ExitCode.OK
 
     def ended(self, process: subprocess.Popen[bytes], name: str) -> int:
-        """Wait for a process. Returns its exit code; ends this program where there is no time left."""
+        """Wait for a process, and return its exit code. Ends this program if no time is left."""
         try:
             return process.wait(max(0.0, self._until_s - time.monotonic()))
         except subprocess.TimeoutExpired:
@@ -110,7 +110,7 @@ class Stages:
             sys.exit(f"{name} had no time left")
 
     def twice(self, green: list[bool]) -> bool:
-        """Return whether these stages were green, or what failed in them is so alone."""
+        """Return whether these stages were green, or what failed in them passes alone."""
         if all(green):
             return True
         failed = list(json.loads(_FAILED.read_text()))

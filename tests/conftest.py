@@ -32,12 +32,10 @@ _MEMORY = "/dev/shm"  # noqa: S108  where Linux keeps what is in memory
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """pytest's hook."""
     parser.addoption("--shuffle", type=int, metavar="SEED", help="files, and tests within each file, in random order")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """pytest's hook."""
     # A person's shell sets none of these, and development machines do: unbuffered output and a locale hid faults. A
     # start takes twice as long without bytecode.
     for name in [name for name in os.environ if name.startswith(("PYTHON", "LANG", "LC_"))]:
@@ -56,7 +54,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Generator[None, object, object]:
-    """pytest's hook: what is collected stays to the end, so no collection of garbage looks at it."""
+    """Keep what is collected to the end, so that no garbage collection visits it (pytest's hook)."""
     gc.disable()
     result = yield
     gc.freeze()
@@ -66,14 +64,13 @@ def pytest_collection() -> Generator[None, object, object]:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """pytest's hook."""
     _let_signals_interrupt()  # asyncio gives a signal back its default behind a loop that had it
     skip_where_lacking(item)
 
 
 @pytest.hookimpl(trylast=True)
 def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> None:
-    """pytest's hook: a test whose process goes on ahead of all others would make these wait."""
+    """Fail a test whose process keeps a priority ahead of all others, which would make these wait (pytest's hook)."""
     if nextitem is None or nextitem.path != item.path:
         for ring in Path(os.environ["XDG_RUNTIME_DIR"]).glob("hexapod-gateway-*"):
             with suppress(OSError):  # another user's
@@ -97,7 +94,7 @@ def _keep_rings(config: pytest.Config) -> None:
 
 
 def _let_signals_interrupt() -> None:
-    """SIGTERM, and the end of the terminal, take down what is there as Ctrl-C does."""
+    """Let SIGTERM, and the end of the terminal, raise KeyboardInterrupt as Ctrl-C does."""
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, _interrupt)
 
@@ -111,7 +108,6 @@ def _interrupt(_number: int, _frame: FrameType | None) -> None:
 def pytest_asyncio_loop_factories(
     config: pytest.Config, item: pytest.Item
 ) -> Mapping[str, Callable[[], asyncio.AbstractEventLoop]]:
-    """pytest-asyncio's hook."""
     del config
     if item.get_closest_marker("virtual_time"):
         return {"virtual": async_solipsism.EventLoop}
@@ -119,18 +115,15 @@ def pytest_asyncio_loop_factories(
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """pytest's hook."""
     return schedule.is_elsewhere(collection_path, config.option.markexpr) or None
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """pytest's hook."""
     schedule.arrange(items)
     if config.option.shuffle is not None:
         schedule.shuffle(items, config.option.shuffle)
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
-    """pytest's hook."""
     runs.add(report)

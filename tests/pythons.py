@@ -58,7 +58,7 @@ def _tried(name: str) -> str:
 
 
 def _run(command: list[str]) -> tuple[int, list[str]]:
-    """Run it. Returns its exit code, and of what it prints the Python and the counts."""
+    """Run it. Return its exit code, and the Python and the counts that it prints."""
     told: list[str] = []
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, errors="replace") as run:
         assert run.stdout is not None
@@ -69,7 +69,7 @@ def _run(command: list[str]) -> tuple[int, list[str]]:
 
 
 def _made(suite: str) -> Path:
-    """Return a chroot with a user; debootstrap makes it once."""
+    """Return a chroot with a user, made once by debootstrap."""
     root = CACHE / suite
     if not (root / "home" / "person").exists():
         shutil.rmtree(root, ignore_errors=True)

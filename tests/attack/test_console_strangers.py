@@ -89,7 +89,7 @@ async def connect(kind: Kind, port: int, context: ssl.SSLContext, made: list[int
 
 
 async def attack(kind: Kind, port: int) -> None:
-    """Never ends."""
+    """Connect again and again, without end."""
     made, context = [0], ssl.create_default_context()
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
 

@@ -232,7 +232,7 @@ class Stuck(Closing):
             os.close(descriptor)
 
     def fill(self) -> None:
-        """Fill it to the last byte; a terminal passes some on by and by, and has room again."""
+        """Fill it to the last byte. A terminal passes some bytes on, and has room again."""
         while select.select([], [self._more], [], 0.05)[1]:
             for size in (4096, 1):
                 with suppress(BlockingIOError):

@@ -49,7 +49,7 @@ def laptop(link: CutLink, bystander: Client) -> Iterator[Client]:
 
 
 def pass_time(seconds: float) -> None:
-    """Wait: what is attacked here is time itself."""
+    """Wait in real time: time itself is under attack here."""
     threading.Event().wait(seconds)
 
 

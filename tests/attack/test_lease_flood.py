@@ -45,7 +45,6 @@ def asking(gateway: Gateway, key: str, question: dict[str, str]) -> Iterator[Non
 
 
 def unanswered(ask: Callable[[], object]) -> int:
-    """Return how many questions had no answer."""
     count = 0
     for _ in range(QUESTIONS):
         try:

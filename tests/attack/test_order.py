@@ -34,7 +34,7 @@ PAIRS = [(start, stop) for start in WAYS for stop in [*WAYS, *((key, "delete") f
 
 
 def send(client: Client, way: Way, payloads: dict[str, Any]) -> None:
-    """Send without waiting for an answer; a put is not dropped where the sender's own queue is full, as it would be."""
+    """Send without waiting for an answer. A put is not dropped if the sender's own queue is full."""
     key, verb = way
     match verb:
         case "put":

@@ -21,7 +21,6 @@ gateway = gateway_fixture(PATIENT)
 
 @pytest.fixture
 def anna(gateway: Gateway) -> Iterator[Client]:
-    """Yield a person, at the gateway itself."""
     with gateway.client(source="anna") as client:
         client.reset()
         yield client

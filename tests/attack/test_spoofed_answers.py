@@ -23,7 +23,7 @@ TIMES = 20
 
 
 def router_at(endpoint: str) -> zenoh.Session:
-    """Return what a gateway dials: a program that listens there, in this process."""
+    """Return a program in this process that listens there for a gateway that dials."""
     config = zenoh.Config()
     config.insert_json5("mode", '"router"')
     config.insert_json5("listen/endpoints", json.dumps([endpoint]))

@@ -89,7 +89,7 @@ Row = tuple[str, ...]
 
 
 def row(name: str, gateway: str, naive: str, found: float = 0, most: float | None = None, unit: str = "×") -> Row:
-    """`most` is None without an aim."""
+    """Return one row. `most`: the aim, or None without one."""
     aims = ("", "") if most is None else (f"at most {most}{unit}", "met" if found <= most else "NOT MET")
     return name, gateway, naive, *aims
 
@@ -168,7 +168,7 @@ class Runner:
                     self.figures.latency_us.append((at_ns - begun) / 1000)
 
     def _send(self, index: int, cdeg: int) -> int:
-        """Send the next message. Returns when."""
+        """Send the next message, and return the time."""
         now = time.monotonic_ns()
         set_leg = _leg("set", cdeg)
         payload = {"legs": dict.fromkeys(map(str, LEGS), set_leg)} if self._stream.whole else set_leg

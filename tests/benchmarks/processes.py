@@ -10,7 +10,7 @@ from tests.support.child import Child
 
 
 def program(name: str, *arguments: str, prefix: Sequence[str] = ()) -> Child:
-    """Another program of the benchmarks, in a process of its own; `prefix` goes before its command."""
+    """Return another program of the benchmarks in a process of its own; `prefix` goes before its command."""
     return Child([*prefix, sys.executable, "-m", f"tests.benchmarks.{name}", *arguments], os.environ)
 
 
@@ -25,14 +25,14 @@ def publishing(endpoint: str, *options: str) -> Iterator[Child]:
 
 @contextmanager
 def flooding(endpoint: str, key: str, payload: str, *options: str, prefix: Sequence[str] = ()) -> Iterator[None]:
-    """A program that publishes this as fast as it can, to the end; with `--ask` it asks in place of publishing."""
+    """Return a program that publishes this as fast as it can; with `--ask` it asks instead of publishing."""
     with program("publisher", endpoint, "--flood", key, payload, *options, prefix=prefix) as flood:
         flood.wait_for_output("flooding")
         yield
 
 
 def cpu_ns(pid: int) -> int:
-    """The CPU time of all threads that live now, in nanoseconds; /proc/PID/stat knows only hundredths of a second."""
+    """Return the CPU time of all living threads, in nanoseconds: /proc/PID/stat has only hundredths of a second."""
     total = 0
     for task in Path(f"/proc/{pid}/task").iterdir():
         with suppress(FileNotFoundError, ProcessLookupError):
@@ -48,7 +48,7 @@ def never_delay(pid: int) -> None:
 
 
 def rss_kb(pid: int, field: str = "VmRSS") -> int:
-    """Resident memory now, or at most (VmHWM)."""
+    """Return resident memory in kB, now or at most (VmHWM)."""
     return _status(pid, field)
 
 

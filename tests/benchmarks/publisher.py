@@ -22,7 +22,7 @@ from schemas.keys import leg_command
 
 
 def payload(number: int) -> str:
-    """Return a leg's command with another angle each time. A start, since that is taken whatever came before."""
+    """Return a leg's command with another angle each time. It is a start, which is accepted whatever came before."""
     servo = f'{{"op":"start","angle_deg":{number % 90 + 45}}}'
     return f'{{"servos":[{servo},{servo},{servo}]}}'
 

@@ -96,7 +96,6 @@ class Box(Closing):
         self._pid = (self.shared / ".pid").read_text().strip()
 
     def close(self) -> None:
-        """Shut the system down."""
         os.close(self._end)
         try:
             self._system.wait(20)
@@ -133,7 +132,6 @@ class Box(Closing):
         return done
 
     def write(self, path: str, text: str) -> None:
-        """Write a file inside."""
         subprocess.run(
             self.command("/bin/sh", "-c", 'mkdir -p "$(dirname "$1")" && cat >"$1"', "sh", path),
             input=text,
@@ -143,7 +141,6 @@ class Box(Closing):
         )
 
     def read(self, path: str) -> str:
-        """Return a file's text."""
         return self.run("cat", path).stdout
 
     def exists(self, path: str) -> bool:

@@ -12,7 +12,7 @@ from tests.box.package import Packages, prepare
 
 @pytest.fixture(scope="session")
 def packages(tmp_path_factory: pytest.TempPathFactory) -> Packages:
-    """Packages of several releases; what they need comes over the network, or from uv's cache."""
+    """Return packages of several releases. What they need comes over the network, or from uv's cache."""
     return Packages(tmp_path_factory.mktemp("packages"))
 
 
@@ -36,7 +36,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory, prepared: Path) -> Itera
 
 @pytest.fixture
 def robot(installed: InstalledGateway) -> Iterator[InstalledGateway]:
-    """Yield the same, with the service stopped and the configuration as installed, before and after."""
+    """Yield the installed box, with the service stopped and the configuration as installed, before and after."""
     installed.reset()
     cursor = installed.cursor()
     yield installed

@@ -68,17 +68,17 @@ class InstalledGateway(Closing):
         self.box.run("systemctl", "daemon-reload")
 
     def gateway(self, *arguments: str, check: bool = True) -> str:
-        """Run a command of the installed gateway inside; what it printed on either stream."""
+        """Run a command of the installed gateway inside, and return what it printed on either stream."""
         done = self.box.run(NAME, *arguments, check=check)
         return done.stdout + done.stderr
 
     def cursor(self) -> str:
-        """Return where the journal ends, with all that has been said until now."""
+        """Return the journal's cursor after everything written until now."""
         self.box.run("journalctl", "--sync")
         return self.box.run("journalctl", "--show-cursor", "--lines=0").stdout.partition("-- cursor: ")[2].strip()
 
     def journal_since(self, cursor: str) -> str:
-        """Return what the service, and systemd of it, has said since then."""
+        """Return what the service, and systemd about it, has written since then."""
         self.box.run("journalctl", "--sync")
         return self.box.run("journalctl", *self._journal_options(cursor)).stdout
 

@@ -35,7 +35,7 @@ class Packages:
         return dependencies(self._folder, self._architecture)
 
     def make(self, release: str, change: str = "") -> Path:
-        """The package of `release`; its gateway/__init__.py has `change` besides."""
+        """Return the package of `release`; its gateway/__init__.py also has `change`."""
         folder = self._folder / release
         if not folder.exists():
             folder.mkdir()
@@ -49,24 +49,24 @@ class Packages:
 
 
 def install(box: Box, package: Path, *options: str, check: bool = True) -> str:
-    """Install it as apt does; what dpkg and the package printed. Recommended packages are left out: no network."""
+    """Install the package as apt does, and return what was printed. Recommended packages are left out: no network."""
     return dpkg(box, "dpkg", *options, "--install", share(box, package), check=check)
 
 
 def share(box: Box, package: Path) -> str:
-    """Put a package where the box sees it; its path inside."""
+    """Put a package where the box sees it, and return its path inside."""
     if not (box.shared / package.name).exists():
         shutil.copy(package, box.shared)
     return f"{SHARED_INSIDE}/{package.name}"
 
 
 def current(box: Box) -> str:
-    """The name that the link leads to; empty without one."""
+    """Return the name that the link leads to, or "" without a link."""
     return box.run("readlink", f"{LIBRARY}/current", check=False).stdout.strip()
 
 
 def dpkg(box: Box, *command: str, check: bool = True) -> str:
-    """Run a command of Debian's; what it printed. `check`: whether it succeeds."""
+    """Run a command of Debian's, and return what it printed. `check`: it must succeed."""
     done = box.run(*command, env={"DEBIAN_FRONTEND": "noninteractive", "PATH": PATH_INSIDE}, check=check, timeout_s=300)
     said = done.stdout + done.stderr
     assert check == (done.returncode == 0), said
@@ -80,7 +80,7 @@ WITHOUT_UDEV = "#!/bin/sh\necho Failed to send reload request: No such file or d
 
 
 def prepare(box: Box, package: Path) -> str:
-    """Install and set up a Raspberry Pi to be; what `setup` printed. Its `check` finds no SPI device."""
+    """Install and set up a future Raspberry Pi, and return what `setup` printed. Its `check` finds no SPI device."""
     box.write(CONFIG_TXT, STOCK)
     box.write("/usr/local/sbin/udevadm", WITHOUT_UDEV)
     box.run("chmod", "+x", "/usr/local/sbin/udevadm")
@@ -89,7 +89,7 @@ def prepare(box: Box, package: Path) -> str:
 
 
 def simulate(box: Box) -> None:
-    """The service begins, with the simulated controller in place of SPI, as simulated.conf says."""
+    """Start the service with the simulated controller instead of SPI, as simulated.conf does."""
     drop_in = "/etc/systemd/system/hexapod-gateway.service.d/simulated.conf"
     box.run("install", "-Dm644", "/usr/share/hexapod-gateway/simulated.conf", drop_in)
     box.run("systemctl", "daemon-reload")
@@ -105,13 +105,13 @@ class Robot(InstalledGateway):
         self.unit.systemctl("enable", check=False)
 
     def runs(self) -> str:
-        """The release that the service's process has loaded, wherever that lies by now."""
+        """Return the release that the service's process has loaded, wherever it is stored now."""
         found = re.search(f"{LIBRARY}/([^/]+)/", self.box.read(f"/proc/{self.unit.property('MainPID')}/maps"))
         assert found is not None
         return found[1].removesuffix(".kept")
 
     def is_at_work(self, release: str) -> None:
-        """This release runs and moves a servo, and its last means of stopping works."""
+        """Check that this release runs and moves a servo, and that its last means of stopping works."""
         assert self.runs() == release
         folder = self.box.read(f"/proc/{self.unit.property('MainPID')}/cmdline").split("\0")[2]
         assert self.box.exists(f"{folder}/gateway/__init__.py"), "what it has not yet imported is there"
@@ -123,7 +123,7 @@ class Robot(InstalledGateway):
 
 
 def hold(box: Box, *options: str) -> str:
-    """Hold leg 3 from now on, by a process of this number. `options`: of the command."""
+    """Hold leg 3 from now on, by a process whose number is returned. `options`: of the command."""
     command = f"hexapod-gateway send leg 3 start 90 45 120 --hold 300 {' '.join(options)} >/dev/null 2>&1 & echo $!"
     held = box.run("sh", "-c", command).stdout.strip()
     box.run("sh", "-c", "until grep -q ' 1$' /run/hexapod-gateway/servos; do sleep 0.05; done")
@@ -131,7 +131,7 @@ def hold(box: Box, *options: str) -> str:
 
 
 def let_go(box: Box, held: str, *options: str) -> None:
-    """End that process; servos rest again, and nobody drives."""
+    """End the process that holds the leg. Servos rest again, and nobody drives."""
     box.run("kill", held)
     box.run("hexapod-gateway", "stop", *options)
     box.run("sh", "-c", "until grep -q ' 0$' /run/hexapod-gateway/servos; do sleep 0.05; done")

@@ -64,7 +64,7 @@ class Containers(Closing):
         self._own.close()
 
     def run(self, line: str, *, check: bool = True, network: bool = False) -> str:
-        """Run a shell's line in the folder; what it printed. `network`: with this machine's, not its own."""
+        """Run a shell's line in the folder, and return what it printed. `network`: with this machine's, not its own."""
         spaces = ["--mount", *([] if network else ["--net"])]
         command = ["nsenter", f"--target={self._own.pid}", *spaces, f"--wd={self.folder}", "--", "bash", "-ec", line]
         done = subprocess.run(command, env=self._env, capture_output=True, text=True, check=False, timeout=600)
@@ -76,7 +76,7 @@ class Containers(Closing):
         return self.run(f"podman exec {NAME} {NAME} {' '.join(arguments)}")
 
     def wait_for_starts(self, starts: int) -> None:
-        """Until the container's gateway has taken commands so many times. Where podman has not begun it anew, do so."""
+        """Wait until the container's gateway has accepted commands so many times. Restart it if podman has not."""
         ready = f"podman logs {NAME} 2>&1 | grep -c 'is ready'"
         anew = f"podman start {NAME} >/dev/null 2>&1 || true; sleep 0.2"
         self.run(f'until [ "$({ready})" = {starts} ] && podman exec {NAME} true; do {anew}; done')
@@ -84,7 +84,7 @@ class Containers(Closing):
 
 @pytest.fixture(name="containers")
 def make_containers(tmp_path: Path, packages: Packages) -> Iterator[Containers]:
-    """With the base image, and in the folder what the repository has there after `make deb`."""
+    """Return containers with the base image, and in the folder the repository's files after `make deb`."""
     skip_where(lacks_tools("the container is", "podman", "runc", "debootstrap", "unshare") or missing_packages())
     (tmp_path / "dist").mkdir()
     shutil.copy(packages.make("1.1.0"), tmp_path / "dist")

@@ -38,7 +38,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory, packages: Packages) -> I
 
 @pytest.fixture
 def robot(installed: Robot, packages: Packages) -> Robot:
-    """Release 1.1.0 runs."""
+    """Run release 1.1.0."""
     if current(installed.box) != "1.1.0":
         installed.unit.systemctl("stop", check=False)
         install(installed.box, packages.make("1.1.0"))

@@ -24,7 +24,7 @@ class Scene:
     box: Box
 
     def follow(self, lines: Iterable[str]) -> str:
-        """Run these lines in root's home; what they printed. A `check` may find that this machine has no SPI."""
+        """Run these lines in root's home, and return their output. A `check` may find that this machine has no SPI."""
         said, env = "", {"PATH": f"/root/bin:{PATH_INSIDE}", "HOSTS": "/root/hosts"}
         for line in lines:
             done = self.box.run("bash", "-c", f"cd && {line}", env=env, check=False, timeout_s=60)
@@ -39,7 +39,7 @@ class Scene:
         return "accepted" in done.stdout
 
     def lets_in(self, *names: str) -> bool:
-        """Return whether bert, who is never shut out, and these may command the robot, and of the others nobody."""
+        """Return whether these laptops and bert, who is never shut out, may command the robot, and no others."""
         present = all(self.may_stop(name, "--timeout", "20") for name in ("bert", *names))
         return present and not any(self.may_stop(name, "--timeout", "1") for name in {"anna", "lena"} - {*names})
 

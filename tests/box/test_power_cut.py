@@ -53,7 +53,7 @@ def sub(parent: Path, name: str) -> Path:
 
 
 def cut(box: Box, disk: Path, copy: Path) -> Path:
-    """Return what would be on the disk if the power failed now. Nothing in the box runs meanwhile, systemd included."""
+    """Return what would be on the disk if the power failed now. Nothing in the box runs meanwhile, not even systemd."""
     freeze = box.root / "sys/fs/cgroup/cgroup.freeze"
     freeze.write_text("1")
     try:
@@ -79,7 +79,7 @@ def instants(box: Box, package: Path, shares: Sequence[float]) -> Iterator[Calla
 
 
 def comes_up(disk: Path, folder: Path, packages: Packages) -> str:
-    """Boot from what was on the disk: one of both releases runs; dpkg then finishes. Returns which one ran."""
+    """Boot from what was on the disk, and return which release runs. dpkg then finishes."""
     with Box(folder, disk=disk) as box:
         assert 'framing = "plain"' in box.read(CONFIGURATION)
         with Robot(box) as robot:

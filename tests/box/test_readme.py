@@ -29,7 +29,7 @@ def debian(suite: str, root: Path, parts: str = PARTS) -> Path:
 
 
 def paste(box: Box, command: str, answers: str, *, check: bool = True) -> str:
-    """Type a command and its answers at a terminal in the box; what it printed."""
+    """Type a command and its answers at a terminal in the box, and return what it printed."""
     typed = f"cd && printf %s {shlex.quote(answers)} | script -qefc {shlex.quote(command)} /dev/null"
     return box.run("sh", "-c", typed, env={"PATH": PATH_INSIDE}, check=check, timeout_s=300).stdout
 

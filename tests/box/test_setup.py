@@ -15,7 +15,7 @@ SIMULATED = (Path(__file__).parents[2] / "deploy/systemd/simulated.conf").read_t
 
 
 def setup(box: Box, *options: str, check: bool = False) -> list[str]:
-    """Return the lines that it printed, before those of `check`, which may find that this machine has no SPI."""
+    """Return the lines that `setup` printed, before those of `check`, which may find that this machine has no SPI."""
     done = box.run(NAME, "setup", *options, check=check, timeout_s=120)
     assert "Traceback" not in done.stderr
     return (done.stdout + done.stderr).splitlines()

@@ -142,7 +142,7 @@ class Visitor(Closing):
         self._stack = ExitStack()
 
     def open(self, *, webgl: bool = False, script: str = "", **options: Any) -> "Opened":
-        """A page that shows the robot. Without WebGL unless it is wanted: a browser that draws, for this page alone."""
+        """Open a page that shows the robot. `webgl`: in a browser that draws, for this page alone."""
         browser = self._browser
         if webgl:
             browser = browser.browser_type.launch(executable_path=CHROMIUM, args=DRAWS)
@@ -207,7 +207,6 @@ class Opened:
         expect(self.page.locator("body")).to_have_attribute("data-live", "yes")
 
     def go_to_button(self) -> None:
-        """Open the console's other page."""
         self.page.goto(f"{self.page.url.rstrip('/')}/button")
 
     def get_lease(self) -> None:
@@ -223,18 +222,17 @@ class Opened:
             self.page.locator("#run-chooser label").nth(leg - 1).click()
 
     def show_rest(self) -> None:
-        """On a phone, what is there in the pads' place."""
+        """Show what a phone has in the pads' place."""
         if self["more"].is_visible() and self["more"].get_attribute("aria-expanded") == "false":
             self["more"].click()
 
     def show_joints(self) -> None:
-        """Open what is advanced."""
+        """Expand the *Advanced* section."""
         self.show_rest()
         if self["advanced"].get_attribute("open") is None:
             self["drive-title"].click()
 
     def select(self, leg: int) -> None:
-        """Select the leg that the sliders belong to."""
         self.show_joints()
         self.page.locator("#leg-chooser label").nth(leg - 1).click()
 
@@ -247,7 +245,7 @@ class Opened:
         return self.page.evaluate(f"async (a) => ({expression})(await import('/{name}.js'), a)", argument)
 
     def violations(self) -> dict[tuple[str, str], str]:
-        """Return what axe finds: by color scheme and rule, the first element."""
+        """Return axe's violations: by color scheme and rule, the first element."""
         found = {}
         for scheme in ("dark", "light"):  # as it was
             self.page.emulate_media(color_scheme=scheme)
@@ -256,7 +254,6 @@ class Opened:
         return found
 
     def devtools(self) -> CDPSession:
-        """Return the browser's own interface to this page."""
         return self.context.new_cdp_session(self.page)
 
     def hide(self) -> None:
@@ -264,7 +261,6 @@ class Opened:
         self.page.evaluate(VISIBILITY % "hidden")
 
     def show(self) -> None:
-        """Undo `hide`."""
         self.page.evaluate(VISIBILITY % "visible")
 
     def lose_focus(self) -> None:
@@ -276,7 +272,7 @@ class Opened:
 
 
 def again(page: Opened, act: Callable[[], None], came: str, ended: str) -> None:
-    """Act until `came` holds in the page; anew where `ended` holds first, as the machine stood still."""
+    """Act until `came` holds in the page. Act again if `ended` holds first, since the machine stood still."""
     for _ in range(PUSHES):
         act()
         page.page.wait_for_function(f"() => ({came}) || ({ended})")
@@ -286,5 +282,5 @@ def again(page: Opened, act: Callable[[], None], came: str, ended: str) -> None:
 
 
 def walks(page: Opened, push: Callable[[Opened], None]) -> None:
-    """Push until it walks."""
+    """Push until the robot walks."""
     again(page, lambda: push(page), WALKS, LET_GO)

@@ -17,14 +17,13 @@ TRIES: Final = 3
 
 @pytest.fixture(scope="package")
 def playwright() -> Iterator[Playwright]:
-    """Yield the driver."""
     with sync_playwright() as running:
         yield running
 
 
 @pytest.fixture(scope="package")
 def browser(playwright: Playwright) -> Iterator[Browser]:
-    """Debian's Chromium, which draws WebGL on the processor."""
+    """Yield Debian's Chromium, which draws WebGL on the processor."""
     running = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
     yield running
     running.close()
@@ -32,7 +31,7 @@ def browser(playwright: Playwright) -> Iterator[Browser]:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool:
-    """Run a test; anew where a page has said that the machine held it up: then it lets go of the robot, as it must."""
+    """Run a test. Run it again if a page states that the machine delayed it: then the page releases the robot."""
     given = {name: pyfuncitem.funcargs[name] for name in inspect.signature(pyfuncitem.obj).parameters}
     for left in reversed(range(TRIES)):
         Visitor.lines.clear()
@@ -60,6 +59,6 @@ watcher = client_fixture("watcher")
 
 @pytest.fixture
 def visitor(browser: Browser, gateway: Gateway, console: Console, session: SignedIn) -> Iterator[Visitor]:
-    """Opens pages on a robot that is at rest; what they left behind is ended."""
+    """Open pages on a robot that is at rest, and end what they left behind."""
     with Visitor(browser, console.url, session, gateway) as pages:
         yield pages

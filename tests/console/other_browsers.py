@@ -80,7 +80,6 @@ class OtherBrowser(Closing):
         self._stack.close()
 
     def go_to(self, url: str) -> None:
-        """Open a page."""
         self.ask("Navigate", url=url)
 
     def find(self, expression: str) -> Any:
@@ -119,7 +118,7 @@ class OtherBrowser(Closing):
         self.ask("PerformActions", actions=[_thumb([{"type": "pointerUp", "button": 0}])])
 
     def _middle(self, element: str) -> tuple[int, int, float]:
-        """Return where it is, and how high."""
+        """Return the middle of an element, and its height."""
         self.find(f'{element}.scrollIntoView({{ block: "nearest" }})')
         box = cast(Mapping[str, float], self.find(f"{element}.getBoundingClientRect().toJSON()"))
         return round(box["x"] + box["width"] / 2), round(box["y"] + box["height"] / 2), box["height"]

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.browser
 
 @pytest.fixture(autouse=True)
 def as_drawn(gateway: Gateway) -> Iterator[None]:
-    """Take back whatever a test wrote."""
+    """Undo whatever a test wrote."""
     yield
     with gateway.client() as robot, robot.lease(take=True):
         assert robot.calibrate({32: ServoChange(trim_deg=0, inverted=False, min_deg=0, max_deg=180)}).accepted

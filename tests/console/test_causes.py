@@ -29,7 +29,7 @@ CAUSES: Final = (
 
 
 def expect_grey(page: Opened, *, grey: bool) -> None:
-    """Whether what moves the robot looks as if it could not."""
+    """Check whether what moves the robot looks disabled."""
     for name in ("stand", "sit", "lower", "higher", "speed-slow", "speed-fast", "gait-tripod"):
         expect(page[name]).to_be_disabled() if grey else expect(page[name]).to_be_enabled()
     for name in ("pad", "turn", "hold"):

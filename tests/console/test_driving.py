@@ -40,7 +40,7 @@ def console(link: CutLink, tmp_path_factory: pytest.TempPathFactory) -> Iterator
 
 
 def hold(page: Opened, watcher: Client, *legs: int) -> Heard[FrameRecord]:
-    """Drive these legs by holding H, anew where a busy machine ends that; what is written from then on."""
+    """Drive these legs by holding H, again if a busy machine ends that. Return what is written from then on."""
     page.drive(*legs)
     written: list[Heard[FrameRecord]] = []
 
@@ -70,7 +70,7 @@ def of_leg(written: Heard[FrameRecord], leg: int) -> list[FrameRecord]:
 
 
 def expect_stopped(written: Heard[FrameRecord], *legs: int) -> None:
-    """Wait for these legs' Stops; nothing else comes behind the first. How late it may be: tests/hil."""
+    """Wait for these legs' Stops, with nothing else after the first. tests/hil measures how late they are."""
     written.wait_for_all(lambda _: all(any(map(is_stop, of_leg(written, leg))) for leg in legs))
     for leg in legs:
         found = of_leg(written, leg)

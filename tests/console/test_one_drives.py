@@ -27,7 +27,7 @@ PRESSES: Final = 200
 
 
 def evaluate(page: Opened, script: str) -> None:
-    """Run it, and let the page look at its gamepads a few times."""
+    """Evaluate a script, and let the page poll its gamepads a few times."""
     page.page.evaluate(f"() => {{ {script}; window.looks = 0; }}")
     page.page.wait_for_function("() => window.looks > 3")
 
@@ -63,7 +63,6 @@ SECOND: Final = Control(push_stick(1), lambda page: evaluate(page, "window.pads[
 
 
 def press_of_a_move(page: Opened) -> int:
-    """Wait for a wish that moves; the number of its press."""
     page.page.evaluate("window.wishes = []")
     page.page.wait_for_function(f"() => window.wishes.some({MOVES})")
     return int(page.page.evaluate(f"window.wishes.find({MOVES}).press"))

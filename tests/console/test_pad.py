@@ -25,21 +25,20 @@ class Thumb:
         self.land()
 
     def land(self) -> None:
-        """In the middle."""
+        """Put the finger in the middle."""
         self._touch("touchStart", 0, 0)
 
     def move(self, x: float, y: float) -> None:
-        """Move the finger to `x` (right) and `y` (down)."""
         self._touch("touchMove", x, y)
 
     def push(self, down: float) -> None:
-        """Anew, from the same place."""
+        """Put the finger down again, at the same place."""
         self.cancel()
         self.land()
         self.move(0, down)
 
     def cancel(self) -> None:
-        """Have the system take the touch, for a gesture of its own."""
+        """Let the system take the touch for a gesture of its own."""
         self._devtools.send("Input.dispatchTouchEvent", {"type": "touchCancel", "touchPoints": []})
 
     def _touch(self, kind: str, x: float, y: float) -> None:

@@ -18,7 +18,6 @@ from tests.support.gateway_process import Gateway
 
 @contextmanager
 def signed_in(browser: Browser, console: Console) -> Iterator[Opened]:
-    """Yield a page in a browser of its own, which has just opened a link."""
     with browser.new_context() as context:
         context.add_init_script(WITHOUT_WEBGL)
         opened = Opened(context, context.new_page())
@@ -58,7 +57,7 @@ def test_whoever_takes_the_port_of_a_console_that_is_gone_gets_no_key(
 
 @contextmanager
 def listening(at: int) -> Iterator[list[str]]:
-    """Yield a web server of somebody else's, at that port; the requests that it got."""
+    """Yield another web server at that port, and the requests that it received."""
     requests: list[str] = []
 
     class Handler(http.server.BaseHTTPRequestHandler):
@@ -77,7 +76,7 @@ def listening(at: int) -> Iterator[list[str]]:
 
 @pytest.fixture
 def phone_console(gateway: Gateway, tmp_path: Path) -> Iterator[Console]:
-    """It has made its certificate for this machine's address."""
+    """Start a console that has made a certificate for this machine's address."""
     arguments = ("--phone", "--connect", gateway.endpoint)
     with Console(tmp_path, *arguments, address="0.0.0.0", env={"HOME": str(tmp_path)}) as console:  # noqa: S104
         yield console

@@ -180,7 +180,7 @@ FELT: Final = "Leans by 14.9°, 15.0° corrected; legs 1, 2, 3, 4 and 5 carry; l
 
 
 def walk(posture: str | None, detail: str = "", limit: str = "", ground: str = "") -> dict[str, Any]:
-    """What the console reports of a walk."""
+    """Return what the console reports of a walk."""
     return {
         "type": "walk", "press": 10**6, "id": None, "posture": posture, "gait": "ripple", "height_m": 0.15,
         "now": NOW.get(posture or "", "It walks"),
@@ -190,7 +190,7 @@ def walk(posture: str | None, detail: str = "", limit: str = "", ground: str = "
 
 
 def situations(source: str) -> dict[str, tuple[list[dict[str, Any]], dict[str, Any]]]:
-    """By name: what the console says, and how the newest state differs. `source`: who this page is."""
+    """Return by name what the console reports, and how the newest state differs. `source`: this page's name."""
     now = dt.datetime.now(dt.UTC)
     why = "the servo 12 would stand at 190.5 degrees, and may go from 0 to 180"
     gone = "the console has lost the gateway: no answer at tls/hexapod.local:7447 for 12 s, and the name is known"
@@ -300,7 +300,7 @@ def overlap_nowhere(size: tuple[int, int], visitor: Visitor, views: Sequence[str
 
 
 def faults(page: Opened) -> list[str]:
-    """In sentences."""
+    """Return the page's faults as sentences."""
     found, places = [], dict[str, tuple[str, str]]()
     for name, told in situations("root").items():
         seen = page.page.evaluate(SHOW, told)

@@ -90,7 +90,7 @@ BREAKS: Final[dict[str, Callable[[Broken], Any]]] = {
 
 
 def ran(written: Sequence[FrameRecord]) -> list[tuple[float, bool]]:
-    """When servos began to run, and when all were stopped, by the frames on the wire: ms, and whether one runs."""
+    """Return when servos began to run, and when all were stopped, by the frames: ms, and whether one runs."""
     legs: dict[int, bool] = {}
     found = [(0.0, False)]
     for record in written:

@@ -45,7 +45,6 @@ requestAnimationFrame(look);
 
 
 def push(page: Opened) -> None:
-    """Put the thumb on the pad, anew, and push it forward."""
     page.page.mouse.up()
     box = page["pad"].bounding_box()
     assert box is not None

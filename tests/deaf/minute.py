@@ -19,7 +19,7 @@ class Message(NamedTuple):
 
 
 def minute() -> list[Message]:
-    """Always the same, in order."""
+    """Return the same messages each time, in order."""
     chance = random.Random(SEED)  # noqa: S311  (angles, no secrets)
     found = [*_walk(2_000, 14_000, 50), _put(14_000, keys.ESTOP, {}), _put(16_200, keys.RESET, {})]
     found += _three_legs(16_500, 24_000, chance)  # then silence: the watchdog's
@@ -78,7 +78,7 @@ def _slow(begin_ms: int, end_ms: int) -> Iterator[Message]:
 
 
 def _mixed(begin_ms: int, end_ms: int, chance: random.Random) -> Iterator[Message]:
-    """All legs at 10 Hz; somebody stops one at any time, and it is started again, sometimes before its repeats."""
+    """Yield all legs at 10 Hz. One is stopped at any time, and started again, sometimes before its repeats."""
     for count, at_ms in enumerate(range(begin_ms, end_ms, 100)):
         op = "start" if count % 5 == 0 else "set"
         yield _put(at_ms, keys.LEGS_COMMAND, {"legs": {str(leg): _leg(op, leg, at_ms) for leg in LEGS}})

@@ -28,19 +28,19 @@ class Place(NamedTuple):
 
     @property
     def servo(self) -> int | None:
-        """Return whose it is, counted from 0; None: nobody's."""
+        """Return the servo that the byte belongs to, counted from 0, or None."""
         record = self.at - 3
         return record // 4 if 0 <= record < 4 * self.servos else None
 
     @property
     def field(self) -> int:
-        """Of a servo's byte: 0 id, 1 operation, 2 whole degrees, 3 hundredths."""
+        """Return the byte's field of a servo: 0 id, 1 operation, 2 whole degrees, 3 hundredths."""
         return (self.at - 3) % 4
 
 
 @cache
 def commands(avoid_cdeg: Avoid) -> frozenset[tuple[int, int, int]]:
-    """Operation, whole degrees and hundredths of everything that may be said of a servo, as the encoder writes it."""
+    """Return operation, whole degrees and hundredths of every command for a servo, as the encoder writes them."""
     low, high = avoid_cdeg or (0, 0)
     moves = (ServoOp(op, cdeg) for op in (Op.START, Op.SET) for cdeg in range(180_01) if not low <= cdeg < high)
     found = set()

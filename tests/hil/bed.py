@@ -124,7 +124,7 @@ class SpiTestbed(Closing):
             raise RuntimeError(f"the emulated device did not start: {self.close()}")
 
     def close(self) -> str:
-        """Kill what still runs and end the emulation; what it said on its standard error."""
+        """Kill what still runs, and end the emulation. Return its standard error."""
         for child in self._children:
             child.close()
         if not self._ended:
@@ -171,7 +171,7 @@ class SpiTestbed(Closing):
         return [event for event in self.events if isinstance(event, Setting)]
 
     def wait_for(self, predicate: Callable[[list[Transfer]], bool], timeout_s: float = 20.0) -> list[Transfer]:
-        """Wait until `predicate` holds for the transfers; these. Raises TimeoutError that lists what did arrive."""
+        """Wait until `predicate` holds for the transfers, and return them. Raises TimeoutError that lists them."""
         found: list[Transfer] = []
 
         def holds() -> bool:
@@ -184,11 +184,11 @@ class SpiTestbed(Closing):
         return found
 
     def wait_for_count(self, count: int, timeout_s: float = 20.0) -> list[Transfer]:
-        """Wait until at least `count` transfers have arrived since the start; all of them."""
+        """Wait until at least `count` transfers have arrived since the start, and return all of them."""
         return self.wait_for(lambda transfers: len(transfers) >= count, timeout_s)
 
     def wait_for_data(self, data: bytes, *, since: int = 0, timeout_s: float = 20.0) -> Transfer:
-        """Wait for a transfer of exactly `data`, delivered, at index `since` or later; the first such one."""
+        """Wait for a transfer of exactly `data`, delivered, at index `since` or later, and return the first."""
 
         def found(transfers: list[Transfer]) -> list[Transfer]:
             return [transfer for transfer in transfers[since:] if transfer.data == data and transfer.delivered]
@@ -196,7 +196,7 @@ class SpiTestbed(Closing):
         return found(self.wait_for(lambda transfers: bool(found(transfers)), timeout_s))[0]
 
     def follow(self, since: int, timeout_s: float) -> list[Event] | None:
-        """The events from index `since` on, as soon as there is one; none in time: []. None: there are no more."""
+        """Return the events from index `since` on; [] if none comes in time; None if there are no more."""
         self._wait(lambda: len(self._events) > since, timeout_s)
         with self._changed:
             return None if self._ended else self._events[since:]
@@ -217,14 +217,14 @@ class SpiTestbed(Closing):
         self._command("set", list_errno=errno)
 
     def ignore_cs_change(self) -> None:
-        """Release no chip select within a call, as some drivers: a list of transfers is one cycle."""
+        """Release no chip select within a call, as some drivers do: a list of transfers is one cycle."""
         self._command("set", ignores_cs_change=True)
 
     def heal(self) -> None:
         self._command("set", left=0, share=0.0)
 
     def block(self) -> None:
-        """Transfers from now on are answered only by `release`; each is recorded as it arrives."""
+        """Answer transfers only by `release` from now on. Each is recorded as it arrives."""
         self._command("set", blocking=True)
 
     def release(self) -> None:
@@ -240,7 +240,7 @@ class SpiTestbed(Closing):
         self._command("restore_node")
 
     def answer(self, data: bytes) -> None:
-        """Set what later transfers read; without waiting until it holds."""
+        """Set what later transfers read, without waiting until it is in effect."""
         with self._changed:
             self._send(0, "set", answer=data.hex())
 

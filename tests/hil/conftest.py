@@ -13,7 +13,7 @@ from tests.support.gateway_process import Gateway
 
 @pytest.fixture
 def spi_testbed() -> Iterator[SpiTestbed]:
-    """A fresh emulated `/dev/spidev0.0`, which no load slows as far as allowed; programs still running are killed."""
+    """Yield a fresh emulated `/dev/spidev0.0`, which no load slows if allowed. Programs still running are killed."""
     with SpiTestbed() as bed:
         bed.prefer()
         yield bed
@@ -21,7 +21,7 @@ def spi_testbed() -> Iterator[SpiTestbed]:
 
 @pytest.fixture
 def wire(request: pytest.FixtureRequest, spi_testbed: SpiTestbed) -> Wire:
-    """The emulated device, in the published firmware's framing; for tests that are marked `EACH_FRAMING`, in each."""
+    """Return the emulated device in the published firmware's framing; for tests marked `EACH_FRAMING`, in each."""
     return Wire(spi_testbed, getattr(request, "param", Framing.LENGTH_PREFIXED))
 
 

@@ -179,7 +179,7 @@ class SpiController:
         _answer(client, length, code)
 
     def _cycles(self, segments: list[Segment]) -> list[list[Segment]]:
-        """Return the same in chip-select cycles."""
+        """Return the segments in chip-select cycles."""
         cycles: list[list[Segment]] = [[]]
         for segment in segments:
             cycles[-1].append(segment)

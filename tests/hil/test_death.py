@@ -34,7 +34,7 @@ ROUNDS = 4  # of stop-servos: one, and three repeats
 
 
 def stop_servos(bed: SpiTestbed, config: Path) -> list[Transfer]:
-    """Run it to its end; what it wrote. What others wrote may be reported only now: theirs are other openings."""
+    """Run it to its end, and return what it wrote. Others' writes may be reported only now, as other openings."""
     earlier = newest_opening(bed)
     child = bed.spawn([*COMMAND, "stop-servos", "--config", str(config)])
     assert child.wait(60) == 0, str(child)
@@ -48,7 +48,7 @@ def newest_opening(bed: SpiTestbed) -> int:
 
 
 def check_stops(framing: Framing, replay: Replay, stops: list[Transfer]) -> None:
-    """18 Stops, four times; and each time is enough for the controller, which may be anywhere in a frame."""
+    """Check that 18 Stops came four times, and that each time is enough for a controller anywhere in a frame."""
     one_round = opening_of(framing, *STOPS)
     assert [each.data for each in stops] == one_round * ROUNDS
     replay.play(stops[: len(one_round)])
@@ -66,7 +66,7 @@ LANES = 3  # gateways that share nothing, at once
 
 
 def loaded(framing: Framing, endpoint: str, folder: Path) -> dict[str, dict[str, Any]]:
-    """Settings of a gateway that dials the publisher, and has more to send than goes through."""
+    """Return settings of a gateway that dials the publisher, and has more to send than the link carries."""
     return {
         # Announced, half of the time is between an announcement and its body, within one call.
         "spi": {"framing": framing, "frame_gap_us": 1000 if framing is Framing.LENGTH_PREFIXED else 100},
@@ -79,7 +79,7 @@ def loaded(framing: Framing, endpoint: str, folder: Path) -> dict[str, dict[str,
 
 
 def kill_once(bed: SpiTestbed, framing: Framing, config: Path, moment_s: float) -> bool:
-    """Kill a gateway that long after its first start, and run stop-servos; whether half a frame was written."""
+    """Kill a gateway that long after its first start, and run stop-servos. Return whether half a frame was written."""
     earlier = newest_opening(bed)
     gateway = bed.spawn([*COMMAND, "run", "--config", str(config)])
     bed.wait_for(lambda transfers: any(moves(each) for each in transfers if each.opening > earlier), 60)

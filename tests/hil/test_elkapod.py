@@ -67,7 +67,7 @@ class ElkapodBed(SpiTestbed):
         return ended
 
     def said_since(self, since_ns: int = 0) -> list[str]:
-        """Since then (monotonic): "frame", and "start" or "shutdown" on the UART."""
+        """Return what came since then (monotonic): "frame", and "start" or "shutdown" on the UART."""
         said = [(at_ns, WORDS[message]) for at_ns, message in self.controller.messages]
         said += [(transfer.monotonic_ns, "frame") for transfer in self.transfers]
         return [word for at_ns, word in sorted(said) if at_ns > since_ns]
@@ -76,7 +76,7 @@ class ElkapodBed(SpiTestbed):
         wait_until(lambda: self.said_since(since_ns).count(word) >= times, word, LATE_S)
 
     def settings_with(self, **sections: dict[str, Any]) -> dict[str, dict[str, Any]]:
-        """For a gateway on this robot."""
+        """Return settings of a gateway on this robot."""
         return {**sections, "wire": {"name": "elkapod-2025"}, "controller": {"uart": str(self.uart)}}
 
     def _play(self) -> None:

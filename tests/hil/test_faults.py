@@ -43,13 +43,13 @@ class Scene:
         seen.wait(lambda state: state.legs[3].watchdog is WatchdogState.ARMED)
 
     def touch(self) -> None:
-        """Set the running leg: its frame meets the fault that was ordered, and so does what waits."""
+        """Set the running leg: its frame meets the planned fault, and so do pending frames."""
         rejected = self.client.set_leg(3, 91, 45, 120, check=False)
         assert (rejected.accepted, rejected.reason) == (False, Reason.BUS_FAULT)
         assert self._waiting.result(LATE_S).reason is Reason.BUS_FAULT
 
     def recovered(self, *, mode: Mode = Mode.IDLE) -> list[Transfer]:
-        """Wait for it; all transfers since the fault. Nothing was delivered but Stops, among them all six at once."""
+        """Wait for the mode, and check that only Stops were delivered since the fault, all six at once among them."""
         self.heard.wait(lambda event: event.kind is Kind.BUS_RECOVERED, timeout_s=LATE_S)
         assert self.client.state().mode is mode
         kinds = [event.kind for event in self.heard.all if event.kind in (Kind.BUS_FAULT, Kind.BUS_RECOVERED)]
@@ -63,7 +63,7 @@ class Scene:
         return transfers
 
     def goes_on(self) -> None:
-        """Nothing moves by itself, and all can be had again."""
+        """Check that nothing moves by itself, and that everything can be started again."""
         assert self.client.set_leg(3, 91, 45, 120, check=False).reason is Reason.SERVO_STOPPED
         self.wire.expect_nothing()
         assert self.client.start_leg(3, 90, 45, 120).accepted
@@ -197,7 +197,7 @@ def off_ms(replay: Replay, transfers: list[Transfer], since_ns: int) -> float | 
 
 
 def trial(bed: SpiTestbed, framing: Framing, client: Client, seed: int) -> float | None:
-    """Six legs run, transfers begin to fail, and somebody presses the emergency stop."""
+    """Run six legs, let transfers begin to fail, and press the emergency stop."""
     before = len(bed.transfers)
     assert client.ask(keys.LEGS_COMMAND, ALL_START).accepted
     bed.fail_by_chance(SHARE, seed)

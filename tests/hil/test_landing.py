@@ -97,7 +97,7 @@ class Scene:
 
 @pytest.fixture
 def scene(tmp_path: Path, spi_testbed: SpiTestbed) -> Scene:
-    """The testbed ends the gateway."""
+    """Return a scene whose gateway the testbed ends."""
     return Scene(tmp_path, spi_testbed)
 
 

@@ -77,7 +77,7 @@ def test_of_two_writers_none_comes_into_the_other_s_batch(spi_testbed: SpiTestbe
     params=["", 'raise ImportError("built for another processor")', "class SpiDev: pass"], ids=["spidev", "none", "3.6"]
 )
 def env(tmp_path: Path, request: pytest.FixtureRequest) -> dict[str, str]:
-    """Variables for a Python with spidev, without, or with Debian's, which has no `open_path`."""
+    """Return variables for a Python with spidev, without it, or with Debian's, which has no `open_path`."""
     if not request.param:
         return {}
     folder = tmp_path / "without"

@@ -32,7 +32,7 @@ def transfers_of(framing: Framing, *frames: str) -> list[bytes]:
 
 
 def opening_of(framing: Framing, *frames: str) -> list[bytes]:
-    """Return the same, behind the preamble: from a device that has just been opened, or of a repeated run of Stops."""
+    """Return those transfers after the preamble: from a device that was just opened, or of a repeated run of Stops."""
     return [*preamble_of(framing), *transfers_of(framing, *frames)]
 
 
@@ -50,11 +50,11 @@ class Wire:
         """The servos that run, by what was read."""
 
     def expect(self, *frames: str) -> list[Transfer]:
-        """Return the next frames (hex), and nothing else among them; waits for them."""
+        """Wait for the next frames (hex) with nothing else among them, and return them."""
         return self._expect(transfers_of(self.framing, *frames))
 
     def expect_opening(self, *frames: str, times: int = 1) -> list[Transfer]:
-        """Return the preamble, where the framing has one, and these frames; so often."""
+        """Expect the preamble, if the framing has one, and these frames, so many times."""
         return self._expect(opening_of(self.framing, *frames) * times)
 
     def _expect(self, expected: list[bytes]) -> list[Transfer]:
@@ -70,7 +70,7 @@ class Wire:
         return found
 
     def _next(self) -> list[Transfer]:
-        """Return the next transfer, and behind an announcement the frame that it announces."""
+        """Return the next transfer, and after an announcement the announced frame."""
         transfers = self.bed.wait_for(lambda transfers: len(transfers) > self._read, LATE_S)
         if self._announces(transfers[self._read]):
             transfers = self.bed.wait_for(lambda transfers: len(transfers) > self._read + 1, LATE_S)
@@ -83,7 +83,7 @@ class Wire:
         return prefixed and len(transfer.data) == 1 and transfer.data != ZERO
 
     def _units(self, transfers: Sequence[Transfer]) -> list[list[Transfer]]:
-        """These, each announcement with its frame."""
+        """Return these transfers, each announcement with its frame."""
         units: list[list[Transfer]] = []
         for transfer in transfers:
             if units and len(units[-1]) == 1 and self._announces(units[-1][0]):
@@ -93,7 +93,7 @@ class Wire:
         return units
 
     def expect_behind_rest(self, *frames: str) -> None:
-        """Expect these frames, and before them nothing but Stops, as a robot at rest gets them (*Legs at rest*)."""
+        """Expect these frames, and before them only the Stops of a robot at rest (*Legs at rest*)."""
         expected, begin = transfers_of(self.framing, *frames), self._read
         self.bed.wait_for(
             lambda transfers: [each.data for each in transfers[begin:]][-len(expected) :] == expected, LATE_S
@@ -102,7 +102,7 @@ class Wire:
         assert before <= {*opening_of(self.framing, *(data.hex() for data in STOP_FRAMES))}
 
     def expect_nothing(self) -> None:
-        """Nothing has come since what was last read. To be asked when an answer says that all was written."""
+        """Check that nothing has come since what was last read. Call it once an answer states that all was written."""
         left = [unit for unit in self._units(self.bed.transfers[self._read :]) if not self._is_by_itself(unit)]
         assert [transfer.data.hex() for unit in left for transfer in unit] == []
 
@@ -165,7 +165,7 @@ class Replay:
         self.controller.take(data[: data[0]] if self._selects else data)
 
     def energised_for_good(self) -> frozenset[int]:
-        """The servos that are on now, or come on when a receive under way is given up (a second after it began)."""
+        """Return the servos that are on now, or come on when a pending receive is given up, a second after it began."""
         now = self.controller.energised
         self.now_ns += 2_000_000_000
         return now | self.controller.energised

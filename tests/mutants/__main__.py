@@ -100,7 +100,7 @@ def judge(file: str, sample: int | None) -> Counter[str]:
 
 
 def _by_its_text(mutant: Mutant) -> bytes:
-    """So that a sample stays the same as long as the text does, wherever it stands."""
+    """Order mutants by their text, so that a sample stays the same while the text does, wherever it stands."""
     return sha256(f"{mutant.operator} {mutant.was} {mutant.becomes}".encode()).digest()
 
 
@@ -112,7 +112,7 @@ def _unused(comments: Iterable[Accepted], survivors: Iterable[Mutant]) -> Iterat
 
 
 def changed() -> set[str]:
-    """Files that differ from the commit before the last one; none in a clone without it."""
+    """Return the files that differ from the commit before the last one, or none in a clone without it."""
     command = ["git", "diff", "--name-only", "HEAD~1"]
     return {*subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False).stdout.splitlines()}
 

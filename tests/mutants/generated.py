@@ -53,7 +53,7 @@ def accepted(source: str) -> list[Accepted]:
 
 
 def _wholes(node: ast.AST) -> Iterator[tuple[int, tuple[int, int]]]:
-    """Lines at which a comment on a function, class or assignment may stand, and from where to where that goes."""
+    """Yield the lines at which a comment on a function, class or assignment may stand, and the lines that it covers."""
     if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
         heads = [*(decorator.lineno for decorator in node.decorator_list), node.lineno]
         yield from ((line, (heads[0], node.end_lineno or 0)) for line in heads)

@@ -142,7 +142,7 @@ def _judged(
 
 
 def _verdict(code: int, test: str) -> Verdict:
-    """pytest ends with 0 where all pass and 1 where one fails; a fault may also crash the process (a signal)."""
+    """Return the verdict for pytest's exit code: 0 if all pass, 1 if one fails. A fault may crash it (a signal)."""
     if code in (-signal.SIGXCPU, -signal.SIGALRM):
         return Verdict(Outcome.TIMED_OUT)
     if code == 0:
@@ -179,19 +179,18 @@ class _Tests:
 
     @pytest.hookimpl(trylast=True)
     def pytest_configure(self) -> None:
-        """After tests/conftest.py has chosen its profile."""
+        """Set Hypothesis's profile, after tests/conftest.py has chosen its own."""
         phases = [Phase.explicit, Phase.generate]
         settings.register_profile("mutants", settings(), derandomize=True, database=None, phases=phases)
         settings.load_profile("mutants")
 
     @pytest.hookimpl(trylast=True)
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
-        """Order the tests; those whose parameters' names the mutant has changed come last."""
         ranks = {test: rank for rank, test in enumerate(self.order)}
         items.sort(key=lambda item: ranks.get(item.nodeid, len(ranks)))
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """A part of a test has ended: its preparation, itself, or the tidying after it."""
+        """Note the end of a part of a test: its preparation, itself, or its teardown."""
         if report.failed or report.when == "call":
             os.write(self.notes, f"{json.dumps([report.nodeid, report.duration, report.failed])}\n".encode())
 

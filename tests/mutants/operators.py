@@ -36,7 +36,7 @@ class Ours(NamedTuple):
 
 
 def _forget(node: Any, _: int) -> Any:
-    """`pass` for a statement, and as many lines as there were, so that all others keep their numbers."""
+    """Replace a statement by `pass` with as many lines, so that all others keep their numbers."""
     lines = node.get_code(include_prefix=False).count("\n")
     prefix = node.get_first_leaf().prefix
     node.children = [Keyword("pass", node.start_pos, prefix), Newline("\n" * lines, node.end_pos, "")]
@@ -44,20 +44,20 @@ def _forget(node: Any, _: int) -> Any:
 
 
 def _ignore_guard(node: Any, _: int) -> Any:
-    """`case … if True or …`; parso knows no `match`, so this one looks at the words."""
+    """Make it `case … if True or …`. parso knows no `match`, so this one looks at the words."""
     node.value = "if True or"
     return node
 
 
 def _catch_nothing(node: Any, _: int) -> Any:
-    """`except ():`; cosmic-ray's operator for this knows no names with dots."""
+    """Make it `except ():`. cosmic-ray's operator for this knows no names with dots."""
     exception = node.children[1]
     node.children = [node.children[0], Keyword("()", exception.start_pos, " "), *node.children[2:]]
     return node
 
 
 def _leave_out(node: Any, index: int) -> Any:
-    """A named argument that is not given, an element that is missing: the rest, with the commas that stand between."""
+    """Leave out a named argument or an element, with one of the commas between."""
     gone = _dispensable(node)[index]
     place = node.children.index(gone)
     last = place + 1 == len(node.children) and place > 0
@@ -84,13 +84,13 @@ def _dispensable(node: Any) -> list[Any]:
 
 
 def _scale(node: Any, index: int) -> Any:
-    """A large number twice, and half; in brackets, since it may stand beside an operator."""
+    """Double a large number, or halve it; in brackets, since it may stand next to an operator."""
     node.value = f"({node.value} {('* 2', '// 2')[index]})"
     return node
 
 
 def _flip(node: Any, index: int) -> Any:
-    """The other word for a `true` or a `false` in a text of several lines, such as the template of a configuration."""
+    """Exchange a `true` and a `false` in a text of several lines, such as the template of a configuration."""
     flag = _flags(node)[index]
     other = "false" if flag.group() == "true" else "true"
     node.value = node.value[: flag.start()] + other + node.value[flag.end() :]
@@ -109,7 +109,7 @@ def _is_number(node: Any, *, large: bool) -> bool:
 
 
 def _has_effect(statement: NodeOrLeaf) -> bool:
-    """A call, an assignment to what outlives the function, raise, del, return; no docstring, no name of its own."""
+    """Return whether a statement has an effect: a call, an assignment beyond the function, raise, del, return."""
     match statement.type:
         case "atom_expr" | "raise_stmt" | "del_stmt":
             return True

@@ -95,7 +95,7 @@ class RobotHost(Closing):
         self._opened.close()
 
     def at_rest(self) -> None:
-        """No emergency stop, nothing runs; forget all frames and events until now."""
+        """Leave an emergency stop, stop everything, and forget all frames and events until now."""
         assert self.client.reset().accepted
         assert self.client.stop().accepted
         self.forget()
@@ -133,7 +133,7 @@ class RobotHost(Closing):
             self._wait(is_command(leg), count)
 
     def wait_for_stops(self, *legs: int) -> list[float]:
-        """Wait until the watchdog has stopped each of these legs; how much later than it should have, in ms."""
+        """Wait until the watchdog has stopped each of these legs. Return how much too late, in ms."""
         for leg in legs:
             self._wait(is_stop(leg), 1)
         return [self._late_ms(leg) for leg in legs]
@@ -165,7 +165,7 @@ def is_stop(*legs: int) -> Callable[[FrameRecord], bool]:
 
 
 def _leg(frame: FrameRecord) -> int:
-    """A frame's third byte is the servo's id, or that of the leg's first servo."""
+    """Return the leg of a frame: its third byte is the servo's id, or that of the leg's first servo."""
     return bytes.fromhex(frame.bytes)[2] // 10
 
 
@@ -204,7 +204,7 @@ class LaptopHost(Closing):
         assert all(self.client.start_leg(leg, *self._pose(), check=False).accepted for leg in legs)
 
     def stream(self, *legs: int) -> None:
-        """From now on, 50 times a second, fire and forget: a setpoint for each of these legs."""
+        """Publish a setpoint for each of these legs 50 times a second, fire and forget."""
 
         def publish() -> None:
             for leg in legs:
@@ -214,7 +214,7 @@ class LaptopHost(Closing):
         self._stream.enter_context(meanwhile(publish, PERIOD_S))
 
     def ask(self, *legs: int) -> None:
-        """From now on, 50 times a second, an acknowledged setpoint for one of these legs after the other."""
+        """Ask for an acknowledged setpoint 50 times a second, for one of these legs after the other."""
         self.answers.clear()
         each = itertools.cycle(legs)
 
@@ -230,7 +230,7 @@ class LaptopHost(Closing):
         wait_until(lambda: self.sent >= enough, f"{self.source} sends {more} more")
 
     def pause(self) -> None:
-        """No more of its streams."""
+        """End its streams."""
         self._stream.close()
 
     def wait_for_reach(self, *, within: bool) -> None:
@@ -243,5 +243,5 @@ class LaptopHost(Closing):
         self._reach[alive].set()
 
     def _pose(self) -> tuple[float, float, float]:
-        """Never the same twice in a row."""
+        """Return a pose that never comes twice in a row."""
         return (45 + next(self._step) % 9000 / 100, 60, 90)

@@ -33,7 +33,7 @@ class Network(Closing):
     laptops = range(2)
 
     def __init__(self) -> None:
-        """Create them. What could not be finished is removed again. Raises RuntimeError with what `ip` said."""
+        """Create them, and remove what could not be finished. Raises RuntimeError with `ip`'s output."""
         _remove_leftovers()
         name = f"{MARK}-{os.getpid()}-{next(_numbers)}"
         self._robot = f"{name}-robot"
@@ -56,7 +56,6 @@ class Network(Closing):
             raise
 
     def close(self) -> None:
-        """Remove it all; end the programs in it before, a namespace lives as long as they do."""
         for namespace in (self._robot, *self._laptops):
             _remove(namespace)
 
@@ -74,7 +73,7 @@ class Network(Closing):
         return f"10.77.{laptop}.1"
 
     def another_address(self, laptop: int) -> str:
-        """Return where that laptop reaches the robot as well, from now on."""
+        """Return another address by which that laptop reaches the robot from now on."""
         return self._address(laptop, f"10.77.{laptop}.3")
 
     def _address(self, laptop: int, address: str) -> str:
@@ -82,7 +81,6 @@ class Network(Closing):
         return address
 
     def ipv6(self, *, on: bool) -> None:
-        """Switch IPv6 on or off on the robot, the loopback interface included."""
         _run(*self.robot, "sh", "-c", f"echo {int(not on)} >/proc/sys/net/ipv6/conf/all/disable_ipv6")
 
     def queued_bytes(self, laptop: int) -> int:
@@ -122,7 +120,7 @@ def _laptop_address(laptop: int) -> str:
 
 
 def _remove_leftovers() -> None:
-    """Namespaces whose process was killed before it could remove them."""
+    """Remove namespaces whose process was killed before it could remove them."""
     for line in _run("ip", "netns", "list").splitlines():
         name = line.split()[0]
         if name.startswith(f"{MARK}-") and not Path("/proc", name.split("-")[2]).exists():

@@ -59,7 +59,7 @@ class Hosts(NamedTuple):
 
 @contextmanager
 def preferred() -> Iterator[None]:
-    """Meanwhile this process comes first."""
+    """Give this process the highest priority meanwhile."""
 
     def all_threads(nice: int) -> None:
         for task in os.listdir("/proc/self/task"):
@@ -85,7 +85,7 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hosts]:
 
 @pytest.fixture
 def hosts(running: Hosts) -> Iterator[Hosts]:
-    """Yield the same, on links that are up, with no stream and nothing running."""
+    """Yield the hosts on links that are up, with no stream and nothing running."""
     for number, laptop in enumerate(running.laptops):
         running.network.fix(number)
         laptop.pause()

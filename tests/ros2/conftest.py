@@ -46,7 +46,7 @@ def watcher(gateway: Gateway) -> Iterator[Client]:
 
 @pytest.fixture
 def peer(one_peer: RclpyPeer, watcher: Client) -> Iterator[RclpyPeer]:
-    """Beside a bridge that does not drive, whatever the test before has left."""
+    """Yield a peer of a bridge that does not drive, whatever the previous test left."""
     one_peer.call("/hexapod/release")
     yield one_peer
     one_peer.call("/hexapod/release")
@@ -55,6 +55,6 @@ def peer(one_peer: RclpyPeer, watcher: Client) -> Iterator[RclpyPeer]:
 
 @pytest.fixture
 def driven(peer: RclpyPeer) -> RclpyPeer:
-    """Beside a bridge that drives."""
+    """Yield a peer of a bridge that drives."""
     assert peer.call("/hexapod/drive") == (True, "drives as ros2")
     return peer

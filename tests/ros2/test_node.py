@@ -24,7 +24,7 @@ JOINT_STATES = "/hexapod/joint_states"
 
 @contextmanager
 def managed(gateway: Gateway, *arguments: str) -> Iterator[RclpyPeer]:
-    """Yield a bridge with these arguments, and a peer beside it that hears its diagnostics."""
+    """Yield a bridge with these arguments, and a peer that receives its diagnostics."""
     with RclpyBridge(gateway, *arguments, domain=OWN_DOMAIN), RclpyPeer(OWN_DOMAIN) as peer:
         peer.subscribe(DIAGNOSTICS, DiagnosticArray)
         yield peer

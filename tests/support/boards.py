@@ -85,7 +85,6 @@ class BoardBus(can.BusABC):
         self.hangs.wait()
 
     def answer(self, identifier: int, data: bytes = b"", **fields: bool) -> None:
-        """Let this frame be received."""
         self.more.append(can.Message(arbitration_id=identifier, data=data, **{"is_extended_id": False, **fields}))
 
 
@@ -98,7 +97,7 @@ class Adapter(Device):
     say = Device.write
 
     def __init__(self, link: str) -> None:
-        """`link`: the path that leads to the terminal."""
+        """Serve at `link`: the path that leads to the terminal."""
         super().__init__(Path(link))
         self.board = SimulatedBoard(time.monotonic_ns())
         self.received: list[bytes] = []
@@ -116,7 +115,6 @@ class Adapter(Device):
         os.close(self.fd)
 
     def pause(self) -> None:
-        """Read nothing any more."""
         self._reads.clear()
 
     def go_on(self) -> None:
@@ -149,7 +147,7 @@ class Noted(NamedTuple):
 
 
 def answers_steadily() -> Callable[[GatewayState], bool]:
-    """Whether the board has answered in each state of a second: a gateway that starts keeps its threads waiting."""
+    """Return whether the board has answered in each state of a second: a starting gateway keeps its threads waiting."""
     row = 0
 
     def answers(state: GatewayState) -> bool:
@@ -197,7 +195,7 @@ class RecordedBoard(Closing):
         return {"interface": "slcan", "channel": self.channel, "confirm_ms": 2000}
 
     def next(self, what: str, mask: int | None = None, timeout_s: float = 20.0) -> Noted:
-        """Return the next of this kind behind what was read before, with this mask if it is given; waits for it."""
+        """Wait for the next of this kind after what was read before, with this mask if it is given, and return it."""
         deadline_s = time.monotonic() + timeout_s
         with self._changed:
             while True:
@@ -210,7 +208,7 @@ class RecordedBoard(Closing):
                     raise TimeoutError(f"no {what} {mask}; noted were {self.noted[-30:]}; {self.child}")
 
     def skip(self) -> int:
-        """Take all as read that has come up to now; returns how much that is."""
+        """Mark everything received until now as read, and return its count."""
         with self._changed:
             self._read = len(self.noted)
             return self._read

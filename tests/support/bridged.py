@@ -26,7 +26,7 @@ def clean() -> dict[str, str]:
 
 
 def resting(**moved_rad: float) -> Message:
-    """All joints of a robot that lies, but those that are moved: `resting(joint_11=0.1)`, in radians from there."""
+    """Return all joints of a lying robot but those that are moved: `resting(joint_11=0.1)`, in radians from there."""
     names = tuple(map(joint_name, SERVO_IDS))
     at_rad = [
         GEOMETRY.joint_rad(servo_id, RESTS_DEG[servo_id % 10]) + moved_rad.get(name, 0.0)
@@ -72,10 +72,10 @@ def strides(written: Heard[FrameRecord]) -> bool:
 
 
 def rejections(array: Message) -> str:
-    """Return what the bridge has not taken last, and why."""
+    """Return the newest rejections of the bridge, and their reasons."""
     return next((each.value for each in array.status[-1].values if each.key == "latest_rejection"), "")
 
 
 def does(array: Message) -> str:
-    """Return what the bridge says of itself."""
+    """Return what the bridge reports of itself."""
     return str(array.status[-1].message)

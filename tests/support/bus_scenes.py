@@ -122,7 +122,7 @@ class Bench(SpiDevice):
 
     @property
     def frames(self) -> list[bytes]:
-        """Return those that are frames, whatever announces them."""
+        """Return the frames among them, whatever announces them."""
         return [data for data in self.written if len(data) > 1]
 
     def play(self, scene: str) -> "Bench":
@@ -137,7 +137,7 @@ class Bench(SpiDevice):
 
 
 def _fail(bench: Bench, words: str) -> None:
-    """`fail 1 3`, counted from now on; `fail with 1`: each call that has this in it; `fail all`, `fail none`."""
+    """Let calls fail: `fail 1 3`, counted from now; `fail with 1`: each with this in it; `fail all`, `fail none`."""
     what, _, sign = words.partition(" ")
     if what in ("with", "all", "none"):
         bench.fails = lambda _, call: what == "all" or (what == "with" and sign in call)
@@ -201,7 +201,7 @@ def play(
     made: Callable[[T], list[str]],
     facts: Mapping[str, Callable[[T], object]],
 ) -> T:
-    """Take each line of it. `made`: the words since it was last asked."""
+    """Play each line of a scene. `made`: the words since it was last called."""
     for line in filter(None, map(str.strip, scene.splitlines())):
         actions, arrow, expected = line.partition("  #")[0].partition("→")
         for each in actions.split(";"):

@@ -73,7 +73,6 @@ class CameraServer(Closing):
                 yield next(self._numbers)
 
     def stream(self, handler: BaseHTTPRequestHandler) -> None:
-        """Send pictures until the connection ends."""
         begin(handler)
         for number in self.ticks():
             handler.wfile.write(part(jpeg(number, self._size)))
@@ -86,7 +85,6 @@ class CameraServer(Closing):
 
 
 def begin(handler: BaseHTTPRequestHandler, kind: str = "multipart/x-mixed-replace; boundary=frame") -> None:
-    """Send the headers, and the first boundary."""
     handler.send_response(200)
     handler.send_header("Content-Type", kind)
     handler.end_headers()

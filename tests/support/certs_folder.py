@@ -45,7 +45,7 @@ def fault(call: Callable[[], object]) -> str:
 
 
 def with_one_bit_changed(pem: bytes) -> Iterator[bytes]:
-    """For each bit of what is in a PEM file, the file with this bit changed."""
+    """Yield the file for each bit of a PEM file's content, with this bit changed."""
     head, *lines, tail = pem.splitlines(keepends=True)
     der = base64.decodebytes(b"".join(lines))
     for bit in range(len(der) * 8):

@@ -71,7 +71,7 @@ class Child(Closing):
             return "".join(self._stderr)
 
     def wait(self, timeout_s: float = 90.0) -> int:
-        """Wait for its end and for all it printed; the exit status. Raises TimeoutError."""
+        """Wait for its end and for all its output, and return the exit status. Raises TimeoutError."""
         try:
             status = self._popen.wait(timeout_s)
         except subprocess.TimeoutExpired:
@@ -81,24 +81,22 @@ class Child(Closing):
         return status
 
     def wait_for_output(self, text: str, timeout_s: float = 90.0) -> str:
-        """Wait until either stream has a line with `text` in it; that line. Raises TimeoutError, also at its end."""
+        """Wait until a line with `text` is printed, and return it. Raises TimeoutError, also at its end."""
         return self._wait(lambda lines: next((line for line in lines if text in line), None), f"{text!r}", timeout_s)
 
     def ask(self, line: str, timeout_s: float = 90.0) -> str:
-        """Write one line to its standard input and wait for the next line on its standard output."""
         with self._heard:
             before = len(self._stdout)
         self.tell(line)
         return self.wait_for_line(before, timeout_s)
 
     def wait_for_line(self, index: int, timeout_s: float = 90.0) -> str:
-        """Wait for that line of its standard output, counted from 0. Raises TimeoutError, also at its end."""
+        """Wait for that line of its output, counted from 0, and return it. Raises TimeoutError, also at its end."""
         return self._wait(
             lambda _lines: self._stdout[index] if len(self._stdout) > index else None, f"line {index}", timeout_s
         )
 
     def tell(self, line: str) -> None:
-        """Write one line to its standard input."""
         assert self._popen.stdin is not None
         self._popen.stdin.write(line + "\n")
         self._popen.stdin.flush()
@@ -107,16 +105,15 @@ class Child(Closing):
         self._popen.send_signal(number)
 
     def terminate(self) -> None:
-        """SIGTERM: asked to stop."""
         self.send_signal(signal.SIGTERM)
 
     def kill(self) -> None:
-        """SIGKILL, and wait for the end."""
+        """Send SIGKILL, and wait for the end."""
         self.send_signal(signal.SIGKILL)
         self._popen.wait(5.0)
 
     def close(self) -> None:
-        """Kill it if it runs. What it has started may go on until the run of the tests ends."""
+        """Kill it if it runs. Processes that it has started may go on until the run of the tests ends."""
         if self.returncode is None:
             self.kill()
         for reader in self._readers:

@@ -69,7 +69,7 @@ def program() -> Any:
 
 
 def parse(command: str, called: str = "hexapod-gateway") -> dict[str, Any]:
-    """What a command that was printed means: its arguments, as the program reads them. Raises click's UsageError."""
+    """Return the arguments of a printed command, as the program reads them. Raises click's UsageError."""
     name, found, *arguments = shlex.split(command.removeprefix("sudo "))
     assert Path(name).absolute() == Path(called).absolute(), command
     group = program()

@@ -50,7 +50,7 @@ def parsed(key: str) -> CommandKey:
 
 
 def as_json(value: object) -> bytes:
-    """UTF-8, as a publisher sends it."""
+    """Return UTF-8, as a publisher sends it."""
     return json.dumps(value, ensure_ascii=False).encode()
 
 

@@ -53,7 +53,6 @@ class Console(Closing):
         return Sessions(self._folder, self.port).new_link(card)
 
     def sign_in(self, link: str = "") -> "SignedIn":
-        """Exchange a link (by default a new one) for a session, as a browser does."""
         return sign_in(link or self.new_link())
 
     def get(self, path: str = "/session", **headers: str) -> httpx.Response:
@@ -61,14 +60,13 @@ class Console(Closing):
         return httpx.get(self.url + path, headers=headers)
 
     def run(self, *arguments: str) -> Child:
-        """`hexapod-gateway console …` beside it, with the same sessions; waits for its end."""
+        """Run `hexapod-gateway console …` with the same sessions, and wait for its end."""
         child = Child([*COMMAND, "console", *self.listen, *arguments], self.env)
         child.wait()
         child.close()
         return child
 
     def page(self, session: "SignedIn") -> "Page":
-        """Open a page."""
         return Page(self.url, session)
 
     def close(self) -> None:
@@ -82,7 +80,7 @@ class SignedIn(NamedTuple):
     key: str
 
     def shown(self, url: str, verify: ssl.SSLContext | None = None) -> str:
-        """What its WebSocket's address carries, once the console has answered; without a session something else."""
+        """Return what its WebSocket's address carries once the console has answered."""
         answer = httpx.get(f"{url}/session?nonce=mine", headers=self.headers, verify=verify or True)
         found = answer.json() if answer.status_code == 200 else {"nonce": ""}
         nonce, key_sha256 = found["nonce"], hashlib.sha256(self.key.encode()).hexdigest()
@@ -90,7 +88,6 @@ class SignedIn(NamedTuple):
 
     @property
     def headers(self) -> dict[str, str]:
-        """Return the headers of its requests."""
         return {"Cookie": self.cookie}
 
 
@@ -98,7 +95,7 @@ NOBODY: Final = SignedIn("", "")
 
 
 def opened(url: str, session: SignedIn, verify: ssl.SSLContext | None = None, path: str = "ws?") -> ClientConnection:
-    """A page's WebSocket; dialled again, as a page does, where a busy machine took longer than the console's 5 s."""
+    """Open a page's WebSocket. Dial again, as a page does, if a busy machine took longer than the console's 5 s."""
 
     def dial() -> ClientConnection:
         return connect(
@@ -116,7 +113,6 @@ def opened(url: str, session: SignedIn, verify: ssl.SSLContext | None = None, pa
 
 
 def sign_in(link: str, verify: ssl.SSLContext | bool = True) -> SignedIn:
-    """Exchange a link for a session."""
     answer = httpx.get(link, verify=verify)
     assert answer.status_code == 303, answer.text
     path, _, key = answer.headers["location"].partition("#")
@@ -139,7 +135,6 @@ class Page(Closing):
             self._stack = stack.pop_all()
 
     def now_ms(self) -> float:
-        """Return the page's clock."""
         return time.perf_counter() * 1000
 
     def send(self, **message: Any) -> None:
@@ -148,7 +143,7 @@ class Page(Closing):
     def wait(
         self, kind: str, fits: Callable[[dict[str, Any]], bool] = lambda _: True, timeout_s: float = LATE_S
     ) -> dict[str, Any]:
-        """The next message of that kind that fits. Those of other kinds are kept for later, except for states."""
+        """Return the next message of that kind that fits. Others are kept for later, except for states."""
         kept = self._kept[kind]
         while kept:
             if fits(found := kept.popleft()):
@@ -164,11 +159,9 @@ class Page(Closing):
                 self._kept[message["type"]].append(message)
 
     def answer(self, kind: str, number: int) -> dict[str, Any]:
-        """Return the answer to the message of that number."""
         return self.wait(kind, lambda message: message["id"] == number)
 
     def state(self, fits: Callable[[dict[str, Any]], bool] = lambda _: True) -> dict[str, Any]:
-        """Return the next state that fits."""
         return dict(self.wait("state", lambda message: fits(message["state"]))["state"])
 
     def event(self, *kinds: str, since: datetime) -> dict[str, Any]:
@@ -185,21 +178,19 @@ class Page(Closing):
         return self._ask(type="command", key=key, payload=payload, **more)
 
     def put(self, key: str, payload: Mapping[str, Any], **more: Any) -> None:
-        """Send a command without an acknowledgement."""
         self.send(**{"type": "command", "key": key, "payload": payload, "sent_ms": self.now_ms(), **more})
 
     def stop_all(self) -> dict[str, Any]:
-        """STOP ALL; the message that confirms it."""
+        """Send STOP ALL, and return the message that confirms it."""
         number = next(self._ids)
         self.send(type="stop_all", id=number)
         return self.wait("stop", lambda message: message["id"] == number and message["answered"])
 
     def reset(self, estop: int) -> dict[str, Any]:
-        """Leave the emergency stop of that number."""
         return self._ask(type="reset", estop=estop)
 
     def _ask(self, **message: Any) -> dict[str, Any]:
-        """Return the answer; asked again, as a person does, where a busy machine held it up for too long on its way."""
+        """Return the answer. Ask again, as a person does, if a busy machine delayed the question too long."""
         for _ in range(TRIES):
             number = next(self._ids)
             self.send(**{"id": number, "sent_ms": self.now_ms(), **message})

@@ -13,7 +13,7 @@ from gateway.simulation.elkapod import GARBAGE, SimulatedElkapod
 
 
 def _power_cycle(servos: SimulatedServos) -> None:
-    """Switch all off; they know no angle."""
+    """Switch all off. They know no angle afterwards."""
     for servo_id, servo in servos.items():
         servo.target_deg = servo.pulse_us = None
         servos.stop(servo_id)
@@ -35,7 +35,7 @@ class Controller(SimulatedController):
 
     @property
     def servos(self) -> SimulatedServos:
-        """As they are now."""
+        """Return the servos in their current state."""
         now_ns = self._clock()
         self._expire_receive(now_ns)
         self._servos.move(now_ns)
@@ -48,12 +48,12 @@ class Controller(SimulatedController):
 
     @property
     def missing(self) -> int:
-        """Bytes of a body that it still awaits; 0 if it awaits a length."""
+        """Return the bytes of a body that it still awaits, or 0 if it awaits a length."""
         self._expire_receive(self._clock())
         return self._body_len - len(self._body)
 
     def reset(self) -> None:
-        """Somebody presses its reset button: it awaits a length, and all servos are off."""
+        """Press its reset button: it awaits a length, and all servos are off."""
         self.dead = None
         self._body.clear()
         self._body_len = 0
@@ -104,7 +104,7 @@ class Elkapod(SimulatedElkapod):
 
     @property
     def servos(self) -> SimulatedServos:
-        """As they are now."""
+        """Return the servos in their current state."""
         with self._lock:
             self._advance(self._clock())
             return self._servos
@@ -138,7 +138,7 @@ class FaultyController(Controller):
         clock: Callable[[], int] = time.monotonic_ns,
         spend: Callable[[float], None] = time.sleep,
     ) -> None:
-        """`spend`: lets a failing transfer take so many seconds."""
+        """Make one. `spend`: lets a failing transfer take so many seconds."""
         super().__init__(framing, clock=clock)
         self._spend = spend
         self._fails: Callable[[bytes], bool] = lambda _: False
@@ -149,24 +149,22 @@ class FaultyController(Controller):
         """When the last servo was off, since this was last None."""
 
     def fail_next(self, count: int) -> None:
-        """Let the next `count` transfers raise SpiError."""
         self._failing_transfers = count
 
     def fail_for_ms(self, duration_ms: float) -> None:
-        """Let every transfer raise SpiError for a while."""
         self._failing_until_ns = self._clock() + round(duration_ms * 1e6)
 
     def fail_where(self, fails: Callable[[bytes], bool], cost_ms: float = 0.0) -> None:
-        """Let each transfer of which this is true raise SpiError, after so long."""
+        """Let each transfer for which `fails` is true raise SpiError, after this time."""
         self._fails, self._cost_ms = fails, cost_ms
 
     def fail_by_chance(self, share: float, seed: int, cost_ms: float = 0.0) -> None:
-        """Let each transfer fail with this probability, after so long."""
+        """Let each transfer fail with this probability, after this time."""
         chance = random.Random(seed)  # noqa: S311  (faults, no secrets)
         self.fail_where(lambda _: chance.random() < share, cost_ms)
 
     def stall_once(self, cost_ms: float) -> None:
-        """Let the next transfer take so long, and succeed."""
+        """Let the next transfer take this time, and succeed."""
         self._stall_ms = cost_ms
 
     def take(self, data: bytes) -> None:

@@ -40,7 +40,7 @@ class CutLink(Closing):
         threading.Thread(target=self._accept, name="cut link", daemon=True).start()
 
     def close(self) -> None:
-        """End it for good; what waits is lost."""
+        """End it permanently; pending bytes are lost."""
         for each in self._sockets:
             with suppress(OSError):
                 each.shutdown(socket.SHUT_RDWR)

@@ -45,24 +45,21 @@ class ElkapodRobot(Robot):
         return [(at_ns / MS, names[message]) for at_ns, message in self.elkapod.messages]
 
     def kinds(self) -> list[Kind]:
-        """Return the kinds of all events so far."""
         return [Kind(event.kind) for event in self.events()]
 
 
 def angles_of(frame: bytes) -> dict[int, float]:
-    """Return the angles in a frame, in degrees."""
     assert (len(frame), frame[0], frame[-1]) == (80, 0x7E, 0x0F)
     return dict(zip(SERVO_IDS, struct.unpack_from("<18f", frame, 1), strict=True))
 
 
 def all_legs(op: str, angle_deg: float | None = None, legs: Iterable[int] = LEGS) -> dict[str, Any]:
-    """Return a LegsCommand for these legs."""
     angles_deg = () if angle_deg is None else (angle_deg,) * 3
     return {"legs": {str(number): leg(op, *angles_deg) for number in legs}}
 
 
 async def elkapod(**sections: Mapping[str, Any]) -> ElkapodRobot:
-    """Return one that has been up until nothing follows its first Stops any more, with nothing recorded yet."""
+    """Return one that has been up until nothing follows its first Stops, with nothing recorded yet."""
     robot = ElkapodRobot(sections)
     await asyncio.sleep(6)
     robot.elkapod.messages.clear()

@@ -48,7 +48,7 @@ FOLDERS: Final = ("/proc", "/sys", "/run", "/etc")
 
 
 def forget() -> None:
-    """Take away what only Linux or POSIX has, once the standard library has what it needs of it."""
+    """Remove what only Linux or POSIX has, once the standard library has what it needs of it."""
     _keep_for_the_library()
     for name in MODULES:
         sys.modules[name] = None  # type: ignore[assignment]  # it is not found

@@ -46,7 +46,7 @@ def gateway_fixture(
 
 
 def client_fixture(source: str | None, *, rests: bool = False) -> Any:
-    """A fixture: a client of the fixture `gateway`, under this name; `rests`: which the test before left at rest."""
+    """Return a fixture: a client of the fixture `gateway`. `rests`: the previous test left it at rest."""
 
     @pytest.fixture
     def client(gateway: Gateway) -> Iterator[Client]:
@@ -60,8 +60,6 @@ def client_fixture(source: str | None, *, rests: bool = False) -> Any:
 
 
 def console_fixture(scope: Scope = "module") -> Any:
-    """Return a fixture: a console of the fixture `gateway`."""
-
     @pytest.fixture(scope=scope)
     def console(gateway: Gateway, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Console]:
         with Console(tmp_path_factory.mktemp("console"), "--connect", gateway.endpoint) as running:
@@ -71,8 +69,6 @@ def console_fixture(scope: Scope = "module") -> Any:
 
 
 def session_fixture(scope: Scope = "module") -> Any:
-    """Return a fixture: a session of the fixture `console`."""
-
     @pytest.fixture(scope=scope)
     def session(console: Console) -> SignedIn:
         return console.sign_in()
@@ -81,8 +77,6 @@ def session_fixture(scope: Scope = "module") -> Any:
 
 
 def camera_fixture() -> Any:
-    """Return a fixture: a camera's server for a module."""
-
     @pytest.fixture(scope="module")
     def camera() -> Iterator[CameraServer]:
         with CameraServer() as running:

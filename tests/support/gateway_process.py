@@ -26,7 +26,7 @@ _WORKERS: Final = 8
 
 
 def _shuffled() -> list[int]:
-    """Each worker of `pytest -n` has ports of its own, and none comes twice before all others have."""
+    """Return free ports: each worker of `pytest -n` has its own, and none comes twice before all others."""
     share = len(_PORTS) // _WORKERS
     worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")) % _WORKERS
     ports = list(_PORTS[worker * share : (worker + 1) * share])
@@ -111,7 +111,6 @@ class Gateway(Closing):
         self.child.close()
 
     def client(self, *, source: str | None = "test") -> Client:
-        """Return a client of it, in this process."""
         return Client(self.endpoint, source=source, timeout_s=20)
 
     def run(self, *arguments: str, timeout_s: float = 60) -> Ended:

@@ -57,7 +57,7 @@ class Heard(Generic[R]):
             yield self.wait(lambda _: True, count=count, timeout_s=timeout_s)
 
     def wait(self, condition: Callable[[R], bool], *, count: int = 1, timeout_s: float = 90) -> R:
-        """Wait until `condition` holds for `count` reports; the last of these."""
+        """Wait until `condition` holds for `count` reports, and return the last of these."""
         found: list[R] = []
 
         def enough(reports: list[R]) -> bool:
@@ -68,7 +68,6 @@ class Heard(Generic[R]):
         return found[count - 1]
 
     def wait_for_all(self, condition: Callable[[list[R]], bool], *, timeout_s: float = 90) -> None:
-        """Wait until `condition` holds for all reports together. Raises TimeoutError."""
         with self._changed:
             if not self._changed.wait_for(lambda: condition(list(self._reports)), timeout_s):
                 raise TimeoutError(f"heard only {list(self._reports)[-20:]}")
@@ -80,7 +79,6 @@ def running(client: Client) -> list[int]:
 
 
 def servos_on(state: GatewayState) -> set[int]:
-    """Return the servos that run."""
     return {servo.id for leg in state.legs for servo in leg.servos if servo.running}
 
 
@@ -103,7 +101,7 @@ def bodies(client: Client) -> Heard[BodyReport]:
 
 
 def frames(client: Client) -> Heard[FrameRecord]:
-    """But for repeated Stops, and those of legs at rest: how long a test takes must not change what it expects."""
+    """Receive frames except repeated Stops and those of legs at rest: a test's duration must not change them."""
     return Heard(client, keys.FRAME, FrameRecord, left_out=lambda record: record.cause == Cause.REPEAT)
 
 

@@ -60,7 +60,7 @@ class Stage:
         threading.Thread(target=run, name=name, daemon=True).start()
 
     def point(self, waits_for: str = "", ready: Callable[[], bool] = lambda: True) -> None:
-        """Called by a thread: it goes on when it is chosen, and `ready`. The test's own goes on at once."""
+        """Wait, on a thread, until it is chosen and `ready`. The test's own thread continues at once."""
         if self.over or threading.get_ident() == self._tests:
             return
         actor = self._actors.setdefault(threading.get_ident(), _Actor(threading.current_thread().name))
@@ -69,12 +69,12 @@ class Stage:
         actor.go.acquire()
 
     def _wait(self, count: int) -> None:
-        """Until so many more threads have come to a point."""
+        """Wait until so many more threads have come to a point."""
         for _ in range(count):
             assert self._parked.acquire(timeout=PATIENCE_S), "a thread hangs"
 
     def run(self, count: int) -> None:
-        """So many threads, until none of them can go on; none may then wait for a lock."""
+        """Run so many threads until none of them can continue. None may then wait for a lock."""
         self._wait(count)
         while True:
             can = {actor.name: actor for actor in self._actors.values() if not actor.ended and actor.ready()}
@@ -86,7 +86,7 @@ class Stage:
         assert not stuck, f"deadlock: {stuck}"
 
     def end(self) -> None:
-        """Let all go on until they end."""
+        """Let all continue until they end."""
         self.over = True
         for actor in self._actors.values():
             actor.go.release()
@@ -233,7 +233,7 @@ class SteppedLoop:
         self.failures.append(context["exception"])
 
     def run(self) -> None:
-        """On a thread of the stage's, until that is over."""
+        """Run on a thread of the stage's, until that is over."""
         while True:
             self._stage.point("work", lambda: bool(self._ready) or self._next_s < math.inf)
             if self._stage.over:
@@ -241,7 +241,7 @@ class SteppedLoop:
             self.step()
 
     def step(self) -> bool:
-        """Return the next that is to be done; false: there is nothing."""
+        """Do the next item. Return False if there is none."""
         if self._ready:
             self._ready.popleft().run()
         elif self._next_s < math.inf:

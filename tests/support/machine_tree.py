@@ -45,7 +45,6 @@ class MachineTree:
         (root / "proc/version").write_text(version)
 
     def add(self, name: str, driver: str | None) -> Path:
-        """Add a device to the bus. Return its folder."""
         folder = self.bus / name
         folder.mkdir(exist_ok=True)
         (folder / "driver").unlink(missing_ok=True)

@@ -27,7 +27,6 @@ exec "$@"
 
 
 def blocks(page: str, language: str) -> list[str]:
-    """Return the text of a page's code blocks of this language."""
     return re.findall(rf"^```{language}\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
 
 
@@ -45,7 +44,7 @@ def commands(name: str, heading: str) -> list[str]:
 
 
 def programs(folder: Path, **texts: str) -> str:
-    """Return these programs in a folder; what PATH begins with, then."""
+    """Return these programs in a folder, for the beginning of PATH."""
     folder.mkdir(exist_ok=True)
     for name, text in texts.items():
         (folder / name).write_text(text)
@@ -95,7 +94,7 @@ def texts(source: str, shown: Callable[[ast.expr], str]) -> list[str]:
 
 
 def _words(rest: str) -> list[str]:
-    """Return the words up to where the sentence goes on."""
+    """Return the words up to where the sentence continues."""
     command = program()
     words: list[str] = []
     value, arguments = False, list[Any]()
@@ -142,7 +141,7 @@ def documented(robot: str = "") -> Described:
 
 
 def described(page: str) -> Described:
-    """Return what a page has."""
+    """Return the metrics of a page."""
     found = set()
     for each in text_string_to_metric_families(page):
         labels = frozenset(label for sample in each.samples for label in sample.labels) - {"le"}

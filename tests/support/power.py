@@ -114,7 +114,7 @@ class Link:
         self.now_ns = end_ns
 
     def run_until(self, done: Callable[[], bool], most_ms: float = 3000) -> float:
-        """Until that is so; returns after how many milliseconds."""
+        """Run until `done`, and return after how many milliseconds."""
         begun_ns = self.now_ns
         while not done():
             assert self.now_ns - begun_ns < most_ms * NS_PER_MS

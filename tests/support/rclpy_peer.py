@@ -79,7 +79,7 @@ class RclpyPeer(Closing):
         raise TimeoutError(f"no such message on {topic}")
 
     def not_taken(self, topic: str, message: Message, why: str) -> None:
-        """Publish again and again until diagnostics say why: what comes just after a pause has another reason."""
+        """Publish until diagnostics contain `why`: a message just after a pause has another reason."""
 
         def explained(array: Message) -> bool:
             self.publish(topic, message)
@@ -96,14 +96,14 @@ class RclpyPeer(Closing):
 
 
 def _sent(argument: Any) -> object:
-    """Return a message's type by its name, a message packed."""
+    """Return a message's type by its name, and a message packed."""
     if isinstance(argument, type):
         return argument.TYPE  # type: ignore[attr-defined]
     return packed(argument) if isinstance(argument, Message) else argument
 
 
 def packed(message: Any) -> str:
-    """As a line can hold it."""
+    """Return the message as a line can hold it."""
     return pickle.dumps(message).hex()
 
 
@@ -162,7 +162,7 @@ class Actor:
         self._publishers[topic].publish(_ros_type("std_msgs/msg/Empty")())
 
     def subscribe(self, topic: str, kind: str, latched: bool = False) -> None:
-        """`latched`: and ask for what was published before."""
+        """Subscribe. `latched`: ask for earlier messages, too."""
         qos = import_module("rclpy.qos")
         profile = qos.QoSProfile(depth=1000)
         if latched:
@@ -211,13 +211,13 @@ class Actor:
         return response
 
     def graph(self) -> dict[str, list[str]]:
-        """Topics and services with their types, as its own discovery finds them."""
+        """Return topics and services with their types, as its own discovery finds them."""
         node = self._node
         return dict(node.get_topic_names_and_types()) | dict(node.get_service_names_and_types())
 
 
 def _remove_half_made() -> None:
-    """Shared memory of FastDDS whose maker was killed before it was ready: the next to open it waits for ever."""
+    """Remove FastDDS's shared memory whose maker was killed half way: the next opener would wait for ever."""
     for port in Path("/dev/shm").glob("fastdds_port*[0-9]"):  # noqa: S108
         with suppress(OSError):
             if port.stat().st_mtime < time.time() - _MADE_S and port.read_bytes()[:4] == bytes(4):

@@ -43,7 +43,6 @@ def checked(path: Path) -> Iterator[tuple[str, Any]]:
 
 
 def read(path: Path) -> Iterator[RecordedMessage]:
-    """Yield the JSON messages, in the file's order."""
     with path.open("rb") as file:
         for _, channel, message in make_reader(file).iter_messages(log_time_order=False):
             if channel.message_encoding == "json":
@@ -62,7 +61,6 @@ def whole(path: Path) -> Iterator[tuple[str, Any]]:
 
 
 def about(path: Path) -> dict[str, Any]:
-    """Return what the file says of its gateway."""
     with path.open("rb") as file:
         found = {each.name: each.metadata for each in make_reader(file).iter_metadata()}
     return {name: json.loads(value) for name, value in found.get(METADATA, {}).items()}
@@ -84,7 +82,6 @@ def put(buffer: Any, offset: int, kind: int, sequence: int, ns: int, rest: bytes
 
 @contextmanager
 def disk_that_takes(size: int) -> Iterator[None]:
-    """Meanwhile a write beyond so many bytes of a file fails, as on a full disk; Python ignores SIGXFSZ."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
     try:

@@ -106,7 +106,7 @@ class Ridden:
         raise AssertionError("it asks and stops without an end")
 
     def until(self, holds: Callable[[], bool], at_most_s: float = 12.0) -> float:
-        """Ticks until it holds; how long that took."""
+        """Tick until it holds, and return how long that took."""
         begun_s = self.now_s
         while not holds():
             assert self.now_s - begun_s < at_most_s, (self.ride.phase, self.ride.posture)
@@ -114,12 +114,10 @@ class Ridden:
         return self.now_s - begun_s
 
     def run(self, seconds: float) -> None:
-        """Tick for this time."""
         for _ in range(round(seconds / TICK_S)):
             self.tick()
 
     def copy(self) -> "Ridden":
-        """Return an independent copy."""
         return copy.deepcopy(self, {id(self._robot): self._robot})
 
     @property
@@ -141,7 +139,7 @@ class Ridden:
                 self.ride.sent(step.pose)
 
     def _set(self, pose: Pose) -> None:
-        """As a stream's `set`: it reports before it sends."""
+        """Act as a stream's `set`, which reports before it sends."""
         if self._over is None and self.cut:
             self._over = DisconnectedError("the link to the gateway is lost")
         if self._over is not None:
@@ -197,7 +195,7 @@ class Ridden:
                 assert angles == pytest.approx(self.at[leg]), f"leg {leg} leaps"
 
     def _judge_state(self) -> None:
-        """It is never said to stand or to move while nothing runs, and nothing is about to."""
+        """Check that it never reports to stand or to move while nothing runs, and nothing is about to."""
         if self.posture not in (Posture.LYING, Posture.SITTING, Posture.HALTED):
             assert self.ride.phase in (Phase.STARTS, Phase.RUNS), self.posture
 

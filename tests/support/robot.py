@@ -49,7 +49,7 @@ class Robot(Messages):
     def __init__(
         self, sections: Mapping[str, Mapping[str, Any]] | None = None, state: StateFolder | None = None
     ) -> None:
-        """`sections`: settings, and as "rules" what is no setting. `state`: keeps its calibration."""
+        """Make one. `sections`: settings, and as "rules" what is not a setting. `state`: keeps its calibration."""
         super().__init__()
         sections = dict(sections or {})
         changed = {"start_wait_ns": self.start_wait_ns, **sections.pop("rules", {})}
@@ -91,7 +91,7 @@ class Robot(Messages):
         return self.bus
 
     def take_no_lists(self) -> None:
-        """As a kernel that rejects lists of transfers."""
+        """Act as a kernel that rejects lists of transfers."""
         transfer = self.controller.transfer
 
         def one_by_one(batch: Batch) -> None:
@@ -102,7 +102,7 @@ class Robot(Messages):
         self.controller.transfer = one_by_one  # type: ignore[method-assign]
 
     def power_line(self) -> PowerLine | None:
-        """Return its power board's; None: no board."""
+        """Return its power board's line, or None without a board."""
         return None
 
     def _beat(self) -> None:
@@ -119,7 +119,7 @@ class Robot(Messages):
         return self.controller
 
     def _pause(self, duration_s: float) -> None:
-        """Pause as the bus: virtual time cannot pass within a call, so what is due later comes late by as much."""
+        """Pause as the bus. Virtual time cannot pass within a call, so later events come late by as much."""
         self._instants += round(duration_s * 1e9)
 
     def now_ns(self) -> int:
@@ -142,7 +142,6 @@ class Robot(Messages):
     # ---- commands
 
     def put(self, key: str, payload: object = b"", **more: Any) -> None:
-        """Put a message on `key`, in an instant of its own. `more` overrides fields of Received."""
         self._instants += 1
         self.put_later(key, payload, **more)
         self.conductor.tick()
@@ -171,25 +170,22 @@ class Robot(Messages):
         return answers
 
     def ask_later(self, key: str, payload: object = b"", **more: Any) -> list[Ack]:
-        """Return the same, waiting for the next tick."""
+        """As `get`, waiting for the next tick."""
         answers: list[Ack] = []
         take = answers.append
         self.put_later(key, payload, verb=Verb.GET, reply=lambda data: take(Ack.model_validate_json(data)), **more)
         return answers
 
     def ask(self, key: str, payload: object = b"", **more: Any) -> Ack:
-        """Put an acknowledged command that is answered at once."""
         (ack,) = self.get(key, payload, **more)
         return ack
 
     def lease(self, do: str, source: str | None = None, **more: Any) -> LeaseAck:
-        """Make a request for the lease. Return its answer."""
         fields = {"do": do, **({} if source is None else {"source": source}), **more}
         (ack,) = self._request(self.leases, LeaseAck, fields)
         return ack
 
     def button(self, do: str, source: str | None = None, **more: Any) -> ButtonAck:
-        """Make a button's request. Return its answer."""
         fields = {"do": do, **({} if source is None else {"source": source}), **more}
         (ack,) = self._request(self.buttons, ButtonAck, fields)
         return ack
@@ -209,7 +205,7 @@ class Robot(Messages):
 
     @property
     def frames(self) -> list[tuple[float, Frame]]:
-        """Frames that reached the controller: when (ms), and what. With `plain` framing only."""
+        """Return the frames that reached the controller: when (ms), and what. With `plain` framing only."""
         return [(at_ns / MS, decode(data)) for at_ns, data in self.controller.transfers]
 
     def events(self, kind: Kind | None = None) -> list[Event]:
@@ -226,7 +222,6 @@ class Robot(Messages):
 
     @property
     def states(self) -> list[GatewayState]:
-        """Return the states that were published, with their configurations."""
         now = self.conductor.reports.config()
         configs = {now.config: now}
         configs |= {each.config: each for _, each in self.reports if isinstance(each, ConfigReport)}
@@ -251,7 +246,7 @@ def started(**sections: Mapping[str, Any]) -> Robot:
 
 
 async def started_and_quiet(**sections: Mapping[str, Any]) -> Robot:
-    """Return the same, after the Stops at the start and all that follow them, with nothing recorded yet."""
+    """Return a started robot after the Stops at the start and all that follow them, with nothing recorded yet."""
     robot = started(**sections)
     await asyncio.sleep(6)
     robot.controller.transfers.clear()
@@ -260,7 +255,6 @@ async def started_and_quiet(**sections: Mapping[str, Any]) -> Robot:
 
 
 def leg(op: str, *angles_deg: float, **more: Any) -> dict[str, Any]:
-    """Return a LegCommand."""
     servos = [{"op": op, "angle_deg": angle_deg} for angle_deg in angles_deg] or [{"op": op}] * 3
     return {"servos": servos, **more}
 
@@ -270,5 +264,4 @@ START = leg("start", 90, 90, 90)
 
 
 def servo(op: str, angle_deg: float | None = None, **more: Any) -> dict[str, Any]:
-    """Return a ServoCommand."""
     return {"op": op, **({} if angle_deg is None else {"angle_deg": angle_deg}), **more}

@@ -30,7 +30,7 @@ def replace(message: Message, **fields: Any) -> Any:
 
 
 def plain(found: Any) -> Any:
-    """rclpy's message, or rosbags', as values that can be pickled: all its fields; sequences are tuples."""
+    """Return rclpy's message, or rosbags', as values that can be pickled: all its fields; sequences are tuples."""
     if hasattr(found, "get_fields_and_field_types"):
         names = list(found.get_fields_and_field_types())
     elif dataclasses.is_dataclass(found):

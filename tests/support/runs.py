@@ -105,12 +105,10 @@ class Run(Closing):
 
 
 def children(process: int) -> list[int]:
-    """Return the processes that this process has started and that have not ended."""
     return [pid for pid, parent in _parents() if parent == process]
 
 
 def _parents() -> Iterator[tuple[int, int]]:
-    """Yield each process that has not ended, and its parent."""
     for folder in Path("/proc").glob("[0-9]*"):
         with suppress(OSError):
             state, parent = (folder / "stat").read_text().rpartition(")")[2].split()[:2]
@@ -124,7 +122,7 @@ def send(pid: int, number: int) -> None:
 
 
 def _wait_for_one_of(processes: set[int]) -> None:
-    """Until one of them ends, `LOOK_S` at the most."""
+    """Wait until one of them ends, `LOOK_S` at the most."""
     poll, opened = select.poll(), []
     for pid in processes:
         with suppress(ProcessLookupError):

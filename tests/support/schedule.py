@@ -54,13 +54,12 @@ def arrange(items: list[pytest.Item]) -> None:
 
 
 def shuffle(items: list[pytest.Item], seed: int) -> None:
-    """Sort the files at random, and the tests within each file."""
     draw, files = random.Random(seed).random, dict[str, float]()  # noqa: S311
     items.sort(key=lambda item: (files.setdefault(_file(item.nodeid), draw()), draw()))
 
 
 def is_elsewhere(path: Path, marks: str) -> bool:
-    """Return whether a file has no test that this expression of `pytest -m` wants; to import it would take its time."""
+    """Return whether a file has no test that this expression of `pytest -m` selects; importing it would take time."""
     if path.suffix != ".py":
         return False
     text = path.read_text(encoding="utf-8")

@@ -29,7 +29,7 @@ class Secured(Closing):
         bed: SpiTestbed | None = None,
         prefix: Sequence[str] = (),
     ) -> None:
-        """It listens on `address`."""
+        """Start one that listens on `address`."""
         self.folder = folder / "D"
         self.port = free_port()
         certs.folder.init(self.folder, [HOST], port=self.port)
@@ -52,5 +52,4 @@ class Secured(Closing):
         return made
 
     def session(self, name: str, **overrides: Any) -> zenoh.Session:
-        """Return a session with that certificate, and nothing of ours besides."""
         return zenoh.open(self.raw(name, **overrides))

@@ -9,7 +9,7 @@ from typing import Self
 
 
 def wait_until(holds: Callable[[], bool], what: str = "it holds", within_s: float = 30.0) -> None:
-    """Look until it holds. Raises TimeoutError."""
+    """Poll until it holds. Raises TimeoutError."""
     give_up_s = time.monotonic() + within_s
     while not holds():
         if time.monotonic() > give_up_s:
@@ -19,7 +19,7 @@ def wait_until(holds: Callable[[], bool], what: str = "it holds", within_s: floa
 
 @contextmanager
 def meanwhile(act: Callable[[], object], every_s: float = 0.0) -> Iterator[None]:
-    """Call it every so many seconds, on a thread of its own, until the end of the `with`."""
+    """Call `act` at this period, on a thread of its own, until the end of the `with`."""
     ended = threading.Event()
 
     def run() -> None:

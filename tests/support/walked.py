@@ -46,7 +46,6 @@ class Walked:
         self.velocity = STILL
 
     def tick(self, velocity: Velocity = STILL) -> None:
-        """Do one tick, and the checks."""
         before_feet, stood = dict(self.engine.state.feet), legs_that_carry(self.engine)
         before_ground = {leg: self._on_the_floor(leg) for leg in before_feet}
         walked = self.engine.posture in (Posture.STANDING, Posture.WALKING)
@@ -64,12 +63,11 @@ class Walked:
         self.pose, self.velocity = after, self.engine.state.velocity
 
     def run(self, seconds: float, velocity: Velocity = STILL) -> None:
-        """Tick for this time."""
         for _ in range(round(seconds / TICK_S)):
             self.tick(velocity)
 
     def until(self, posture: Posture, at_most_s: float) -> float:
-        """Ticks until it has that posture; how long that took."""
+        """Tick until it has that posture, and return how long that took."""
         for count in range(round(at_most_s / TICK_S) + 1):
             if self.engine.posture is posture:
                 return count * TICK_S
@@ -77,7 +75,6 @@ class Walked:
         raise AssertionError(f"after {at_most_s} s it is {self.engine.posture}, {self.engine.limit}")
 
     def copy(self) -> "Walked":
-        """Return an independent copy."""
         return deepcopy(self, {id(self.robot): self.robot})
 
     def _on_the_floor(self, leg: int) -> tuple[float, float]:
@@ -96,7 +93,7 @@ class Walked:
                 assert abs(new - old) <= most_deg, f"servo {leg}{joint} is too fast"
 
     def _check_stance(self, before: dict[int, tuple[float, float, float]], stood: frozenset[int]) -> None:
-        """Feet that stand stay where they are on the ground, so they move as one rigid body."""
+        """Check that standing feet keep their places on the ground, so they move as one rigid body."""
         engine = self.engine
         for leg in stood & legs_that_carry(engine):
             assert engine.state.feet[leg][2] == before[leg][2]
@@ -123,7 +120,7 @@ class Walked:
 
 
 def standing(robot: Robot, gait: str = "tripod") -> Walked:
-    """It has stood up from lying."""
+    """Return one that has stood up from lying."""
     return _stood_up(robot, gait).copy()
 
 

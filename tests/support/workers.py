@@ -41,5 +41,4 @@ class Workers(LoadScopeScheduling):  # type: ignore[misc]  # xdist says nothing 
 
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Workers:
-    """pytest-xdist's hook."""
     return Workers(config, log)

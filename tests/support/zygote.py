@@ -40,7 +40,7 @@ _DESCRIPTORS: Final = 64
 
 
 def fits(command: Sequence[str], env: Mapping[str, str]) -> bool:
-    """Whether a fork does what this command would: it is of ours, and Python itself is to behave as it does here."""
+    """Return whether a fork does what this command would: it is ours, and Python behaves as here."""
     ours = command[2:3] == ["gateway"] or (command[2:3] or [""])[0].startswith("tests.")
     return (
         os.environ.get("ZYGOTE") != "no"
@@ -159,7 +159,7 @@ def _server(env: Mapping[str, str]) -> _Server:
 
 
 def serve(number: int) -> None:
-    """Until the other end is closed."""
+    """Serve until the other end is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group, and this ends behind the tests
     command = _imported()
     channel = socket.socket(fileno=number)
@@ -254,7 +254,7 @@ def _become(request: Mapping[str, Any], descriptors: Sequence[int]) -> None:
 
 
 def _run(module: str, command: Callable[[], None]) -> None:
-    """Until its end, which ends this process as it ends any Python."""
+    """Run until its end, which ends this process as it ends any Python."""
     if module == "gateway":
         command()
     else:

@@ -21,7 +21,7 @@ def _alone(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def _clean_environment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Nothing of this machine's: no variables of ours, and a default file that is not there."""
+    """Remove this machine's variables and default file."""
     for name in list(os.environ):
         if name.upper().startswith("HEXAPOD"):
             monkeypatch.delenv(name)
@@ -35,7 +35,7 @@ def file(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Return a black box's; its ring is beside it."""
+    """Return a black box's folder, with its ring in the same folder."""
     monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)
     made = tmp_path / "state"

@@ -19,7 +19,6 @@ LEG_3_LINE = f"{LEG_3}: ONE LEG, leg 3: servo 31 start 90.00°, servo 32 set 45.
 
 
 def decode(*arguments: str) -> tuple[int, list[str]]:
-    """Return the exit code and the lines."""
     result = CliRunner().invoke(app, ["decode", *arguments])
     assert result.stderr == ""
     return result.exit_code, result.stdout.splitlines()

@@ -20,7 +20,7 @@ ROOMS = tuple(
 
 
 def named(page: str) -> set[str]:
-    """The paths of this repository that stand in backticks, or as a whole word that begins with one of its folders."""
+    """Return a page's paths in backticks, or as a whole word that begins with a folder of this repository."""
     prose = re.sub(r"```.*?```", "", page, flags=re.DOTALL)
     quoted = [word for code in re.findall(r"`([^`\n]+)`", prose) for word in code.split()]
     words = [word.strip("`()[],;:.") for word in page.split()]
@@ -55,7 +55,7 @@ def test_links_lead_somewhere(page: Path) -> None:
 
 
 def headings(page: Path) -> set[str]:
-    """As GitHub makes them: lower case, punctuation gone, spaces as hyphens."""
+    """Return headings as GitHub makes them: lower case, no punctuation, spaces as hyphens."""
     lines = re.findall(r"^#+ (.*)$", page.read_text(), re.MULTILINE)
     return {re.sub(r"[^\w -]", "", line.lower()).replace(" ", "-") for line in lines}
 
@@ -88,7 +88,6 @@ PROGRAMS: Final = {"AsyncClient.lease", "AsyncWalk.go", "Ack.or_raise", "Stream.
 
 @pytest.fixture(scope="module")
 def shown() -> set[str]:
-    """Return the names on the page of `gateway.client`, of the site as `make docs` builds it."""
     built = subprocess.run(
         [sys.executable, "-m", "zensical", "build", "--strict", "--clean", "--config-file", "mkdocs.yml"],
         cwd=ROOT,

@@ -161,7 +161,7 @@ def test_toml_with_a_byte_order_mark() -> None:
 
 
 def with_replacing(path: Path, data: bytes) -> None:
-    """Write piece by piece."""
+    """Write by `replacing`, piece by piece."""
     with durable.replacing(path) as staged:
         staged.write_bytes(data)
         durable.sync(staged)

@@ -35,7 +35,6 @@ def rows(heading: str) -> list[list[str]]:
 
 
 def names(heading: str) -> list[str]:
-    """Return the first column, without its backticks."""
     return [row[0].strip("`") for row in rows(heading)]
 
 
@@ -119,13 +118,12 @@ PAGE: Final = (ROOT / "docs" / "safety.md").read_text(encoding="utf-8")
 
 @cache
 def _marks(text: str) -> dict[str, list[str]]:
-    """Return the marks of each of a file's tests."""
     tests = [node for node in ast.parse(text).body if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)]
     return {test.name: [ast.unparse(mark) for mark in test.decorator_list] for test in tests}
 
 
 def always_skipped(text: str, function: str) -> bool | None:
-    """Of a test in a file with this text; None: there is no such test."""
+    """Return whether a test in a file with this text is always skipped; None: there is no such test."""
     marks = _marks(text).get(function)
     if marks is None:
         return None

@@ -57,18 +57,18 @@ NOT_PURE: Final = frozenset(
 
 
 def room_of(name: str) -> str:
-    """`gateway.robot.core.legs` → `robot.core`, `gateway.errors.GatewayError` → `errors`."""
+    """Return a name's room: `gateway.robot.core.legs` → `robot.core`, `gateway.errors.GatewayError` → `errors`."""
     parts = name.split(".")[1:]
     return ".".join(parts[: 2 if parts[0] in (*WINGS, "zenoh") else 1])
 
 
 def wing_of(room: str) -> str:
-    """`robot`, `people` (`gateway.client` is its face), or a room that is in neither."""
+    """Return `robot`, `people` (`gateway.client` is its face), or a room that is in neither."""
     return {"client": "people", "simulation": "robot"}.get(room, room.partition(".")[0])
 
 
 def room_of_file(path: Path) -> str:
-    """`gateway/robot/core/legs.py` → `robot.core`."""
+    """Return a file's room: `gateway/robot/core/legs.py` → `robot.core`."""
     return room_of(".".join(("gateway", *path.relative_to(GATEWAY).with_suffix("").parts)))
 
 

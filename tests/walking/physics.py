@@ -42,7 +42,6 @@ def drive(world: World, angles: Mapping[int, float | None], geometry: Geometry) 
 
 
 def run(world: World, seconds: float) -> None:
-    """Simulate that long."""
     for _ in range(round(seconds / TIMESTEP_S)):
         world.step()
 
@@ -66,7 +65,6 @@ def stand_up(world: World, engine: Engine, geometry: Geometry, sense: Sense = bl
 
 
 def angles_of(engine: Engine) -> dict[int, float]:
-    """Return where it sends the legs that are not lost, in degrees as commands name them."""
     return {
         10 * leg + joint: angle_deg
         for leg, angles in engine.pose.items()
@@ -83,6 +81,5 @@ def stood_up(geometry: Geometry, engine: Engine, assumed: Assumed | None = None,
 
 
 def heading_rad(world: World) -> float:
-    """Return the body's heading, within half a turn."""
     x, y, z, w = world.body().rotation
     return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))

@@ -46,7 +46,7 @@ class Moment(NamedTuple):
 
 @cache
 def moments(stance: str, assumed: Assumed) -> list[Moment]:
-    """The phases of a stride, each as just after a command; of a stand there is one. Go on with a copy of them."""
+    """Return the phases of a stride, each just after a command; of a stand there is one. Copy them before use."""
     engine = Engine(Robot(GEOMETRY), "tripod" if stance == STAND else stance)
     world = physics.stood_up(GEOMETRY, engine, assumed)
     if stance == STAND:
@@ -102,7 +102,7 @@ def looked_at(world: World, sent: Iterable[physics.Sent], geometry: Geometry) ->
 
 
 def landed(begin: Mapping[int, float], settings: Settings) -> Iterator[physics.Sent]:
-    """A landing from these angles by the core's own function, at the legs' rate. Seconds from the latest command."""
+    """Land from these angles by the core's own function, at the legs' rate. Times are since the latest command."""
     began_ns = round(settings.watchdog.timeout_ms * 1e6)
     length_ns = round(settings.watchdog.landing_ms * 1e6)
     period_ns = round(_NS / settings.limits.leg_rate_hz)

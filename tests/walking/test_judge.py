@@ -57,7 +57,6 @@ class Walker:
         return self.world.body().position_m[2]
 
     def walk(self, part: Part) -> list[str]:
-        """Walk a part and stand; what is not within the limits, in words."""
         (begin_x_m, begin_y_m, _), begin_rad = self.world.body().position_m, self._heading_rad
         self._tilt_deg = self._scraped_m = 0.0
         for _ in range(round(part.seconds / TICK_S)):
@@ -72,7 +71,6 @@ class Walker:
         return [f"{part.name}: {fault}" for fault in self._faults(part, ahead_m, left_m, turned_deg)]
 
     def sit(self) -> None:
-        """Sit down, and let all servos go slack."""
         self.engine.sit()
         self._until(Posture.SITTING)
 
@@ -161,7 +159,7 @@ class Reached(NamedTuple):
 
 
 def reached(gait: str, servo_deg_s: float) -> Reached:
-    """Both at once on a flat floor, with servos of this speed: means of twelve seconds."""
+    """Return the means of twelve seconds on a flat floor, forward and turning, with servos of this speed."""
     wanted = LIMITS[gait]
     robot = Robot(_GEOMETRY, {servo_id: Range(max_speed_deg_s=servo_deg_s) for servo_id in SERVO_IDS})
     engine = Engine(robot, gait)

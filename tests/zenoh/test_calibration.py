@@ -147,7 +147,7 @@ OWN = RobotCalibration(4, {32: ServoMapping(7_50, inverted=True)})
 
 
 def until_it_is_being_kept(client: Client) -> Ack:
-    """A Set for a servo that stands still is rejected in any case; the sentence says whether the change has come."""
+    """Wait until the change is being kept: a Set for a standing servo is rejected in any case, with the reason."""
     while "being calibrated" not in str((rejected := client.set_leg(3, 90, 90, 90, check=False)).detail):
         assert not rejected.accepted
     return rejected

@@ -116,7 +116,7 @@ client = client_fixture(None, rests=True)
 
 @pytest.fixture
 def move(gateway: Gateway, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Ended]:
-    """Move it in this process, with these answers, and not for long."""
+    """Move it in this process, with these answers, and briefly."""
     monkeypatch.setattr(module, "_HOLD_S", 0.2)
 
     def here(*answers: str, options: tuple[str, ...] = ()) -> Ended:
@@ -242,7 +242,7 @@ WHOLE: dict[str, dict[str, object]] = {
 
 
 def legs_written(heard: Heard[FrameRecord]) -> list[tuple[Op, dict[int, int]]]:
-    """Operation and angles of all six legs of each command, repeats of one target once."""
+    """Return operation and angles of all six legs of each command, repeats of one target once."""
     records = [record for record in heard.all if record.cause == Cause.COMMAND]
     found = [dict(decode(bytes.fromhex(record.bytes)).servos) for record in records]
     whole = [dict(ChainMap(*found[at : at + 6])) for at in range(0, len(found), 6)]

@@ -183,7 +183,6 @@ def board(tmp_path: Path) -> Iterator[RecordedBoard]:
 
 @pytest.fixture
 def check(tmp_path: Path, board: RecordedBoard, monkeypatch: pytest.MonkeyPatch) -> Iterator[Check]:
-    """Check one step on a robot with this board; `answer` is what somebody beside it does when asked."""
     monkeypatch.setattr(stops, "_ANSWER_MS", LATE_MS)
     power = {**board.settings, "confirm_ms": 500}
 

@@ -36,7 +36,6 @@ session = session_fixture()
 
 @pytest.fixture
 def page(console: Console, session: SignedIn) -> Iterator[Page]:
-    """Yield a page on a robot that is at rest, while nobody drives."""
     with console.page(session) as opened:
         opened.state(lambda state: state["lease"]["holder"] is None)
         state = opened.state(lambda state: state["mode"] in ("idle", "estopped"))
@@ -109,7 +108,6 @@ def test_who_takes_a_leg_from_a_page_is_named(
 
 
 def lease(page: Page, do: str) -> dict[str, Any]:
-    """Ask for something about the lease, again where a busy gateway did not answer in time; the answer."""
     for number in itertools.islice(NUMBERS, TRIES):
         page.send(type="lease", id=number, do=do)
         answer = page.answer("lease", number)

@@ -46,7 +46,7 @@ class Shown(Closing):
         self._stack.close()
 
     def next(self) -> tuple[float, bytes]:
-        """Ask for a picture; its age and its JPEG."""
+        """Ask for a picture, and return its age and its JPEG."""
         self.socket.send("next")
         while isinstance(found := self.socket.recv(timeout=60), str):
             pass

@@ -34,7 +34,7 @@ class Pad:
         self.wish: dict[str, Any] = {}
 
     def hold(self, **wish: Any) -> None:
-        """A new press, and what it wants from now on."""
+        """Begin a new press with this wish."""
         self.wish = wish
         self.press += 1
 
@@ -74,7 +74,7 @@ def acquire(page: Page) -> None:
 
 
 def walk(page: Page, fits: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
-    """The next report of the walk that fits."""
+    """Return the next report of the walk that fits."""
     return page.wait("walk", fits)
 
 
@@ -83,7 +83,7 @@ def posture(page: Page, wanted: str | None) -> dict[str, Any]:
 
 
 def gets(page: Page, pad: Pad, fits: Callable[[dict[str, Any]], bool], **wish: Any) -> dict[str, Any]:
-    """Hold that until a report fits; where a busy machine held the wishes up, which uses up the press, by another."""
+    """Hold until a report fits. If a busy machine delayed the wishes, which uses up the press, press again."""
     for _ in range(TRIES):
         pad.hold(**wish)
         found = walk(page, lambda message: message["press"] == pad.press and (message["waits"] or fits(message)))

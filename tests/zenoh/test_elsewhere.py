@@ -34,7 +34,6 @@ print("done")
 
 
 def elsewhere(*arguments: str, **environment: str) -> Child:
-    """Run a command of ours there."""
     command = [sys.executable, "-m", "tests.support.elsewhere", "gateway", *arguments]
     return Child(command, {**os.environ, **environment})
 

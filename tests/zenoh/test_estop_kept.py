@@ -26,13 +26,11 @@ TRIALS = int(os.environ.get("TRIALS", "3"))
 
 
 def start(folder: Path) -> Gateway:
-    """Start a gateway on the state directory."""
     (folder / "state").mkdir(exist_ok=True)
     return Gateway(folder, env={"HEXAPOD_STATE__PATH": str(folder / "state")})
 
 
 def press(client: Client, source: str = "anna") -> int:
-    """Engage it; its number."""
     ack = client.ask(keys.ESTOP, {"source": source})
     assert ack.stop_frames == 6
     assert ack.estop is not None

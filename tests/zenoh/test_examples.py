@@ -44,7 +44,6 @@ client = client_fixture(None, rests=True)
 
 
 def run(name: str, gateway: Gateway, *arguments: str) -> str:
-    """Return what an example printed; it must end well."""
     command = [sys.executable, str(EXAMPLES / name), "--connect", gateway.endpoint, *arguments]
     with Child(command, os.environ) as child:
         assert child.wait() == 0, child.stderr
@@ -52,7 +51,7 @@ def run(name: str, gateway: Gateway, *arguments: str) -> str:
 
 
 def moved(heard: Heard[FrameRecord]) -> dict[int, set[int]]:
-    """Angles in hundredths of a degree that each servo was told by commands."""
+    """Return the angles, in hundredths of a degree, that commands set for each servo."""
     angles: dict[int, set[int]] = {}
     for record in heard.all:
         if record.cause is Cause.COMMAND:
@@ -248,7 +247,7 @@ def moves(record: FrameRecord) -> bool:
 
 
 def swings(record: FrameRecord) -> bool:
-    """Return whether it walks already: before that the robot stands up."""
+    """Return whether it walks already; before that the robot stands up."""
     return any(
         servo_id == 31 and op.op is not Op.STOP and op.angle_cdeg > centidegrees(SWUNG_DEG)
         for servo_id, op in decode(bytes.fromhex(record.bytes)).servos

@@ -85,7 +85,6 @@ class Held:
 
 @pytest.fixture
 async def session() -> AsyncIterator[zenoh.Session]:
-    """Yield a session as the service opens it."""
     with closing(open_session(service_config(ZenohSettings(listen=(f"tcp/127.0.0.1:{free_port()}",))))) as opened:
         yield opened
 

@@ -28,7 +28,6 @@ STOP = leg("stop")
 
 
 def answer(session: zenoh.Session, key: str, **fields: Any) -> bytes:
-    """Return the answer to one request. Raise TimeoutError without any."""
     text = json.dumps({name: value for name, value in fields.items() if value is not None})
     for reply in session.get(key, payload=text, encoding="application/json", timeout=20):
         if reply.ok is not None:

@@ -37,7 +37,7 @@ watcher = client_fixture("watcher")
 
 @pytest.fixture
 def plug_in(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """The example's names, with LeRobot's abstract classes alone."""
+    """Return the example's names, with LeRobot's abstract classes alone."""
     for name in [each for each in sys.modules if each.partition(".")[0] == "lerobot"]:
         monkeypatch.delitem(sys.modules, name)
     lerobot_protocol.install()
@@ -49,7 +49,7 @@ def plug_in(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 
 @pytest.fixture
 def made(gateway: Gateway, plug_in: dict[str, Any]) -> Iterator[Any]:
-    """Returns a robot of these options."""
+    """Return a function that makes a robot of these options."""
     robots = []
 
     def make(**options: Any) -> Any:

@@ -82,7 +82,7 @@ class Installed:
         (described / "entry_points.txt").write_text(f"[hexapod_gateway.wires]\n{NAME} = to_file:ToFile\n")
 
     def calls(self, since: int = 0) -> list[Call]:
-        """Return what it was called with, from the first or that one on."""
+        """Return its calls, from the first or that one on."""
         lines = self.path.read_text().splitlines() if self.path.exists() else []
         return [Call(process, dict(changes)) for process, changes in map(json.loads, lines[since:])]
 

@@ -29,21 +29,21 @@ gateway = gateway_fixture(patient(4000))
 
 @pytest.fixture
 def two(gateway: Gateway) -> Iterator[tuple[Client, Client]]:
-    """Two programs of one name."""
+    """Yield two programs of one name."""
     with Client(gateway.endpoint, source=NAME) as first, Client(gateway.endpoint, source=NAME) as second:
         yield first, second
 
 
 @contextmanager
 def started(client: Client) -> Iterator[Stream]:
-    """A stream that has started leg 1."""
+    """Return a stream that has started leg 1."""
     with client.stream(50) as stream:
         stream.set({1: POSE})
         yield stream
 
 
 def hold(*streams: Stream) -> None:
-    """Set leg 1 by these streams in turns, a second long."""
+    """Set leg 1 by these streams in turns, for a second."""
     for _ in range(50):
         for each in streams:
             each.set({1: POSE})

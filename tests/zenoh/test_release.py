@@ -111,7 +111,7 @@ def download(tmp_path: Path) -> Path:
 
 
 def check(folder: Path) -> tuple[bool, str]:
-    """Run the page's command there: whether all is well, and what it prints."""
+    """Run the page's command there. Return whether all is well, and its output."""
     found = re.search(r"`(ssh-keygen -Y .*)`", (ROOT / "docs" / "robot.md").read_text())
     assert found is not None
     done = subprocess.run(["bash", "-c", found[1]], cwd=folder, capture_output=True, text=True, check=False)

@@ -102,7 +102,7 @@ class Robot:
         return self.client(self.folder / f"{name}.json5")
 
     def revoke(self, name: str) -> Ended:
-        """`hexapod-gateway certs revoke NAME` where the CA is, over bert's connection."""
+        """Run `hexapod-gateway certs revoke NAME` where the CA is, over bert's connection."""
         bert = ("--zenoh-config", str(self.folder / "bert.json5"))
         return run_here("certs", "revoke", name, "--dir", str(self.folder), "--to", f"tls/{HOST}:{self.port}", *bert)
 

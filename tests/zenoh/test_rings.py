@@ -41,7 +41,7 @@ class Message(NamedTuple):
 
 
 def message(way: tuple[str, str], op: ServoOp) -> Message:
-    """Return a message of the session: what it may name of leg 1."""
+    """Return a message of the session that may name leg 1."""
     return Message(*way, op, TARGETS[way[0]])
 
 
@@ -107,7 +107,7 @@ class ReadRings:
 
 
 def stops_by(*ways: tuple[str, str], count: int) -> Callable[[], Callable[[str, str], Message | None]]:
-    """Somebody else's Stops of joint 3: so many in each of these rings, one each time that it was found empty."""
+    """Put somebody else's Stops of joint 3: so many in each of these rings, one each time that it was found empty."""
 
     def flood() -> Callable[[str, str], Message | None]:
         left = dict.fromkeys(ways, count)
@@ -166,7 +166,7 @@ def test_no_start_overtakes_a_stop_whenever_the_two_arrive(flood: str, first_tic
 
 
 def taken(messages: tuple[Message, Message], arrivals: tuple[int, ...], first_tick: str) -> list[str]:
-    """The keys of two messages in the order in which they are dealt with; the first tick heard only this wakeup."""
+    """Return the keys of two messages in the order of handling. The first tick received only this wakeup."""
     robot = ReadRings(deliveries := Deliveries(deque(zip(arrivals, messages, strict=True))), (*KEYS, RESET))
     order = [key for key, _ in robot.rings.read([first_tick])]
     while deliveries.due or any(deliveries.rings.values()):
@@ -219,7 +219,7 @@ def test_only_floods_of_stops_on_keys_that_share_servos_keep_an_instant_open(
 def thinned(
     waiting: list[tuple[ServoOp, int]], verb: str = "put", depth: int = LEAST_PUT_DEPTH
 ) -> list[Message | None]:
-    """Return what is taken of one ring in which these operations wait, each of a servo."""
+    """Return what is taken of one ring in which these operations for one servo wait."""
     due = deque((0, Message(LEG, verb, op, (servo_id,))) for op, servo_id in waiting)
     return [item for _, item in ReadRings(Deliveries(due, depth=depth)).rings.read([LEG])]
 

@@ -90,7 +90,7 @@ def test_an_operator_cannot_pose_as_the_robot(secured: Secured) -> None:
 
 
 def forged(secured: Secured, common_name: str, made: dt.datetime) -> zenoh.Config:
-    """With a certificate of the folder's CA that `issue` would not make: any name, good for a day from `made`."""
+    """Return a certificate of the folder's CA that `issue` would not make: any name, good for a day from `made`."""
     folder = secured.folder
     ca = certs.folder.load_ca(folder)
     pair = authority.make_leaf(ca, common_name, "someone", (), 1, made)
@@ -174,7 +174,7 @@ def test_off_loopback_it_does_not_start(tmp_path: Path) -> None:
 
 
 def without_a_role(secured: Secured) -> str:
-    """The Zenoh file of a laptop that shows the robot's own certificate."""
+    """Return the Zenoh file of a laptop that shows the robot's own certificate."""
     text = (secured.folder / "anna.json5").read_text()
     file = secured.folder / "nobody.json5"
     file.write_text(text.replace("anna.pem", "gateway.pem").replace("anna.key", "gateway.key"))
@@ -182,7 +182,7 @@ def without_a_role(secured: Secured) -> str:
 
 
 def said(*arguments: str) -> list[str]:
-    """What a Stop that does not come through says."""
+    """Return the message of a Stop that does not come through."""
     done = run_here("stop", "--timeout", "1", *arguments)
     assert done.returncode == 4, done
     return [line.removeprefix("hexapod-gateway: ") for line in done.stderr.splitlines()]

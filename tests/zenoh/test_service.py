@@ -166,7 +166,6 @@ def test_a_disk_that_hangs_delays_no_start_for_its_black_box(tmp_path: Path) -> 
 
 @pytest.fixture
 def systemd(tmp_path: Path) -> Iterator[socket.socket]:
-    """Yield the end of its notification socket."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as found:
         found.settimeout(20)
         found.bind(str(tmp_path / "notify"))

@@ -52,7 +52,7 @@ class Terminal(Closing):
             drawn += os.read(self.end, 4096)
 
     def wait_for_end(self) -> int:
-        """Read until the command ends; its exit status."""
+        """Read until the command ends, and return its exit status."""
         with suppress(OSError):  # as Linux reports the end
             while os.read(self.end, 4096):
                 pass
@@ -135,7 +135,7 @@ def ends_at_ctrl_c(terminal: Terminal) -> bool:
 
 
 def is_stuck(pid: int) -> bool:
-    """Whether a thread of the process waits in the terminal's write, as its kernel stack or wait channel says."""
+    """Return whether a thread of the process waits in the terminal's write, by its kernel stack or wait channel."""
     for task in Path(f"/proc/{pid}/task").iterdir():
         with suppress(FileNotFoundError, ProcessLookupError):  # a thread that has ended meanwhile
             number, descriptor = [*(task / "syscall").read_text(encoding="ascii").split(), "", ""][:2]

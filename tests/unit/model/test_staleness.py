@@ -25,7 +25,7 @@ class Publisher:
         return self.zero_ms + now_ms * self._rate
 
     def arrives(self, now_ms: float, *, sent_at_ms: float | None = None) -> float | None:
-        """A command that arrives now, sent now or earlier; how long it was delayed, if it is rejected for that."""
+        """Return the delay of a command that arrives now, sent now or earlier, if it is rejected for that."""
         said = self.asks(now_ms, sent_at_ms=sent_at_ms)
         if said is None:
             return None
@@ -34,7 +34,7 @@ class Publisher:
         return float(delayed[1])
 
     def asks(self, now_ms: float, *, sent_at_ms: float | None = None) -> str | None:
-        """Return the same; why it is rejected."""
+        """Return why that command is rejected."""
         sent_ms = self.clock_ms(now_ms if sent_at_ms is None else sent_at_ms)
         return self._staleness.too_old(self.name, sent_ms, round(now_ms * MS), round(now_ms * MS))
 
@@ -60,7 +60,7 @@ def staleness() -> Staleness:
 
 @pytest.fixture
 def laptop(staleness: Staleness) -> Publisher:
-    """It has been heard for a second."""
+    """Return a laptop that has been received for a second."""
     found = Publisher(staleness)
     found.streams(0, 1000)
     return found
@@ -249,7 +249,7 @@ def test_of_two_clocks_the_one_heard_last_is_believed_and_then_the_one_heard_for
 
 @pytest.fixture
 def stopping() -> Staleness:
-    """Return one whose loop turns when the test says so."""
+    """Return one whose loop turns when the test asks for it."""
     return Staleness(MAX_AGE_MS)
 
 

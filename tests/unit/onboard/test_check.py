@@ -183,7 +183,7 @@ class Scene:
 
 
 def here(tree: Mapping[str, Any] | None = None, **sections: Any) -> Callable[[Path], CheckedRobot]:
-    """Settings, and a machine with this tree."""
+    """Return settings, and a machine with this tree."""
 
     def plant(root: Path) -> CheckedRobot:
         if tree is not None:
@@ -645,7 +645,7 @@ def test_each_command_that_a_message_names_is_the_programs() -> None:
 
 
 def value(shown: ast.expr) -> str:
-    """7, but for the name of a wire."""
+    """Return 7, but for a wire its name."""
     return SpiProtocol.ELKAPOD_2025 if re.search(r"wire\.name|SpiProtocol", ast.unparse(shown)) else "7"
 
 

@@ -52,7 +52,7 @@ class Robot:
         written()
 
     def service(self, state: str) -> None:
-        """It was started with length-prefixed by a variable, and this is what became of it."""
+        """Start the service with length-prefixed by a variable, in this state."""
         if state == NEVER:
             return
         self._patch.setenv("INVOCATION_ID", "1")
@@ -158,7 +158,7 @@ BY_HAND = "switch the power off by hand"
 
 @pytest.fixture
 def bus(monkeypatch: pytest.MonkeyPatch) -> BoardBus:
-    """That of the power board which `stop-servos` finds, on whatever interface its settings name."""
+    """Return the bus of the power board that `stop-servos` finds, on whatever interface its settings name."""
     found = BoardBus()
     monkeypatch.setattr(last_cut, "SupplyCut", lambda settings, say: SupplyCut(settings, say, found.opened))
     return found

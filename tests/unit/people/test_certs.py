@@ -207,7 +207,7 @@ def trusted(authority_file: Path, certificate: Path, key: Path, host: str) -> bo
 
 
 def issue(directory: Path, *people: str, role: str = "operator") -> list[str]:
-    """Return the common names that they get."""
+    """Issue certificates, and return their common names."""
     for name in people:
         certs.folder.issue(directory, name, role)
     return [certs.folder.describe(directory / f"{name}.pem").common_name for name in people]

@@ -146,7 +146,6 @@ def _quickly(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 async def trouble(found: Camera) -> str:
-    """Wait for a sentence."""
     last: camera.Picture | None = None
     async with asyncio.timeout(20):
         while not found.trouble:
@@ -155,7 +154,6 @@ async def trouble(found: Camera) -> str:
 
 
 async def picture(found: Camera) -> camera.Picture:
-    """Wait for a picture."""
     newer = await found.newer(None, 20)
     assert newer is not None
     return newer

@@ -118,7 +118,6 @@ class Stand:
         self.listener = HttpListener(None, auth.answer, cast(Any, None))
 
     async def ask(self, request: str) -> bytes:
-        """Return the whole answer, until the connection ends."""
         reader, writer = await asyncio.open_connection(*self.address[:2])
         writer.write(request.encode())
         answer = await reader.read()

@@ -209,7 +209,7 @@ class StoppedRobot:
 
 
 def heard(page: Kept) -> list[Message]:
-    """Return all that it is sent of how far its stops have come."""
+    """Return all progress messages about its stops."""
     return [message for message in page.put_in if message["type"] == "stop"]
 
 

@@ -50,7 +50,7 @@ class Visitor:
         return asyncio.run(self._auth.answer(url, CIMultiDict({"Host": "127.0.0.1:8080", **headers})))
 
     def nonce(self, session: SignIn, mine: str = "mine") -> tuple[str, str]:
-        """Return the console's, and its proof."""
+        """Return the console's nonce, and its proof."""
         answer = self.get(f"/session?nonce={mine}", session)
         assert isinstance(answer, web.Response)
         assert answer.text is not None
@@ -168,7 +168,7 @@ def sessions(tmp_path: Path, clock: Clock) -> Sessions:
 
 
 def new_token(sessions: Sessions) -> str:
-    """That of a new link."""
+    """Return the token of a new link."""
     link = sessions.new_link()
     assert link.startswith(f"{HERE}/?token=")
     return link.partition("token=")[2]

@@ -171,7 +171,7 @@ def server(stack: ExitStack) -> socket.socket:
 
 
 def taken(passed: socket.socket, number: str = "1", pid: str = PID) -> list[socket.socket]:
-    """Return what is inherited where systemd has put the first socket to the number of this one."""
+    """Return what is inherited if systemd has moved the first socket to this number."""
     found = inherited({"LISTEN_PID": pid, "LISTEN_FDS": number}, first=passed.fileno())
     if found:
         passed.detach()  # which is whose from now on

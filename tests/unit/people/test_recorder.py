@@ -28,7 +28,7 @@ START = leg("start", 90, 45, 120, source="anna", sent_ms=0)
 
 
 def recorded(folder: Path, **sections: Any) -> Robot:
-    """A gateway with a black box, as the service makes it; its start's repeats are still to come."""
+    """Return a gateway with a black box, as the service makes it. Its start's repeats are still to come."""
     robot = Robot({"state": {"path": str(folder)}, **sections})
     robot.conductor.start()
     robot.conductor.recorder.open(nullcontext())
@@ -71,7 +71,7 @@ async def test_what_was_in_force_is_known_after_any_time_and_across_runs(folder:
 
 
 def in_force(records: rec.Records, ns: int) -> int | None:
-    """The revision of what was in force."""
+    """Return the calibration's revision in force at that time."""
     found = records.calibration_at(ns)
     return None if found is None else found.revision
 

@@ -75,7 +75,6 @@ def reports(count: int) -> Iterator[tuple[str, dict[str, Any], int]]:
 
 
 def begun(path: Path, count: int = 600) -> Recording:
-    """Return what is recorded, while it is."""
     recording = Recording(load())
     recording.open_file(path, {"protocol": "1.0"}, START_NS)
     for topic, report, time_ns in reports(count):
@@ -94,14 +93,14 @@ def path(tmp_path: Path) -> Path:
 
 
 def drawn_in(path: Path, topic: str) -> list[Message]:
-    """Return what viewers draw of it, in a whole file."""
+    """Return what viewers draw of a topic, in a whole file."""
     with path.open("rb") as file:
         messages = make_reader(file).iter_messages(topics=[topic], log_time_order=False)
         return [decode(DRAWN[topic], message.data) for _, _, message in messages]
 
 
 def positions(message: Message) -> dict[str, float]:
-    """Joint → radians."""
+    """Return the radians of each joint."""
     return dict(zip(message.name, message.position, strict=True))
 
 

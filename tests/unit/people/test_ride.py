@@ -109,7 +109,7 @@ class Pad:
 
 
 def held() -> Pad:
-    """It walks."""
+    """Return a page whose robot walks."""
     pad = Pad()
     pad.until(Posture.STANDING)
     pad.hold(AHEAD)
@@ -375,7 +375,7 @@ def walks(ridden: Ridden, seconds: float) -> None:
 
 
 def expect_begins_anew(ridden: Ridden) -> None:
-    """Nothing runs and nothing is sent by `start_again` alone; then all six start, one after the other, from lying."""
+    """Check that `start_again` alone sends nothing, and that all six then start from lying, one after the other."""
     ridden.ride.start_again()
     sent = len(ridden.sent)
     ridden.run(0.2)
@@ -501,7 +501,7 @@ class AnyOrder(RuleBasedStateMachine):
 
     @rule()
     def start_again_and_go(self) -> None:
-        """As an impatient person does."""
+        """Start again and walk at once, as an impatient person does."""
         self.ridden.estopped = self.ridden.cut = False
         self.ridden.ride.start_again()
         self.ridden.tick()

@@ -64,7 +64,7 @@ def path(tmp_path: Path) -> Path:
 
 
 def image(*records: tuple[int, bytes, int]) -> bytes:
-    """A ring of these types, contents and times, in their order."""
+    """Return a ring of these types, contents and times, in their order."""
     slots = len(records) + 1
     made = bytearray(form.new_header(slots).ljust(form.file_bytes(slots), b"\0"))
     for number, (kind, rest, ns) in enumerate(records, 1):
@@ -73,7 +73,7 @@ def image(*records: tuple[int, bytes, int]) -> bytes:
 
 
 def filled(path: Path, records: int, slots: int = 50) -> None:
-    """A ring with so many modes, numbered from 1."""
+    """Fill a ring with so many modes, numbered from 1."""
     ring = RecordRing(path, slots)
     for number in range(1, records + 1):
         ring.append(form.NOTE, number, form.fields("mode", str(number)))
@@ -206,7 +206,7 @@ def exported(folder: Path, incident: Incident, content: rec.Records) -> Path:
 
 
 def told(folder: Path) -> list[str]:
-    """The story of the only incident."""
+    """Return the story of the only incident."""
     ((incident,), content) = incidents(folder)
     return story(list(messages(incident, content)))
 
@@ -416,7 +416,7 @@ async def test_an_incident_shows_tilt_battery_and_feet_around_it(folder: Path) -
 
 
 def assert_ordered(path: Path) -> None:
-    """No message is logged earlier than the one before it: Rerun calls such a file unordered, and seeks slowly."""
+    """Check that no message is logged earlier than the previous one: Rerun would seek slowly."""
     with path.open("rb") as file:
         times_ns = [message.log_time for _, _, message in make_reader(file).iter_messages(log_time_order=False)]
     assert times_ns == sorted(times_ns)
@@ -424,7 +424,7 @@ def assert_ordered(path: Path) -> None:
 
 def test_what_happens_in_its_time_prolongs_an_incident_up_to_half_a_minute() -> None:
     def found(*later_s: float) -> Incident:
-        """Of a watchdog's at 20 s, behind the start of a gateway, and emergency stops at these seconds."""
+        """Return the incidents of a watchdog at 20 s, after a gateway's start, and emergency stops at these seconds."""
         silent = form.fields(WALL_NS, "20260921-141320-123-watchdog")
         behind = [(form.START, form.fields(WALL_NS, {}), SECOND), (form.INCIDENT, silent, 20 * SECOND)]
         stop = form.fields("estop_engaged", "anna", None, None, "a sentence", 0)

@@ -145,7 +145,7 @@ USERS = OneLeg(3, (ServoOp(Op.SET, 90_00), ServoOp(Op.SET, 45_00), ServoOp(Op.ST
 
 
 def frame(calibration: RobotCalibration, users: Frame = USERS) -> RecordedMessage:
-    """As it was written with this calibration in force."""
+    """Return a frame as it was written with this calibration in force."""
     return RecordedMessage(FRAME, {"bytes": calibration.frame(users).data.hex(), "cause": "command"}, 0)
 
 

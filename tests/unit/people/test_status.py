@@ -72,13 +72,12 @@ class Followed:
         self.now_ns = 0
 
     def after(self, act: Callable[[], None]) -> list[str]:
-        """Return what is shown of it."""
         count = len(self.lines)
         act()
         return [line.text for line in self.lines[count:]]
 
     def state(self, published: GatewayState | None = None, changed: Mapping[str, object] | None = None) -> list[str]:
-        """A state comes, of a gateway that has been up since the beginning."""
+        """Receive a state of a gateway that has been up since the beginning."""
         self.now_ns += 100 * NS_PER_MS
         found = (published or state(self.now_ns / 1e9)).model_copy(update=changed or {})
         return self.after(lambda: self.follower.received_state(found, self.now_ns))

@@ -418,7 +418,7 @@ class AnyOrder(RuleBasedStateMachine):
         assert len(self.before) <= REQUESTS_AT_ONCE
 
     def teardown(self) -> None:
-        """Whatever came before: once the gateway answers, every press is confirmed."""
+        """Check that every press is confirmed once the gateway answers, whatever came before."""
         for request in list(self.before):
             self.end(request, answered=False)
         if self.stop.since_ns is not None:

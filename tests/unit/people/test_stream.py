@@ -123,7 +123,7 @@ def robot(monkeypatch: pytest.MonkeyPatch) -> Robot:
 
 @pytest.fixture
 def stream(robot: Any) -> Iterator[Stream]:
-    """Legs 1 and 2 run, and a state has just been published."""
+    """Yield a stream of legs 1 and 2, just after a state."""
     with Stream(robot, HZ) as found:
         found.set({1: POSE, 2: POSE})
         robot.publish_state()
@@ -227,7 +227,7 @@ def test_a_program_whose_setpoints_take_a_leg_from_another_one_is_warned_once(ro
 
 
 def estopped(robot: Robot) -> None:
-    """Somebody engages the emergency stop; no event is received."""
+    """Engage the emergency stop; no event is received."""
     robot.running = set()
     robot.changed = {"mode": Mode.ESTOPPED, "estop_source": "bert"}
     robot.rejects = Ack(accepted=False, reason=Reason.ESTOPPED, detail="reset it first")
@@ -235,13 +235,13 @@ def estopped(robot: Robot) -> None:
 
 
 def vanished(robot: Robot) -> None:
-    """Its watchdog stops the legs."""
+    """Vanish; the watchdog stops the legs."""
     robot.connected = robot.answers = False
     robot.running = set()
 
 
 def stopped_and_taken(robot: Robot) -> None:
-    """Somebody stops the legs, and drives from now on."""
+    """Stop the legs, and drive from now on as another client."""
     robot.running = set()
     robot.rejects = Ack(accepted=False, reason=Reason.NOT_HOLDER, detail="bert holds the lease")
     robot.publish_state()
@@ -334,7 +334,7 @@ def newer(kind: Kind, detail: str, source: str | None = None, *legs: int) -> Eve
 
 
 def by(who: str | None) -> Callable[[Robot], None]:
-    """Their Stop of all legs, as far as the state tells."""
+    """Return a Stop of all legs by this source, of which only the state informs."""
 
     def happens(robot: Robot) -> None:
         robot.running = set()
@@ -345,7 +345,7 @@ def by(who: str | None) -> Callable[[Robot], None]:
 
 
 def by_bert(robot: Robot) -> None:
-    """His Stop, 0.2 s ago."""
+    """Stop all legs as Bert, 0.2 s ago."""
     halted = newer(Kind.LEGS_STOPPED, "bert stopped all legs", "bert", *LEGS)
     robot.publish_event(halted.model_copy(update={"cause": Cause.COMMAND}))
     robot.now_s += 0.2
@@ -368,7 +368,7 @@ def test_recover_undoes_nobodys_stop(robot: Robot, stream: Stream) -> None:
 
 
 def told(*events: Event) -> Callable[[Robot], None]:
-    """The gateway's events, 0.1 s ago."""
+    """Return a gateway's events, 0.1 s ago."""
 
     def happens(robot: Robot) -> None:
         for each in events:
@@ -379,7 +379,7 @@ def told(*events: Event) -> Callable[[Robot], None]:
 
 
 def fell_silent(robot: Robot) -> None:
-    """The controller; its event was lost."""
+    """Let the controller fall silent, and lose its event."""
     robot.running.clear()
     robot.changed = {"mode": Mode.BUS_FAULT, "controller": ControllerReport(alive=False)}
     robot.publish_state()

@@ -219,7 +219,7 @@ def test_asked_twice_it_is_cut_but_not_while_its_stops_are_sent() -> None:
 
 
 def cover(ridden: Ridden, amount: float, *, turns: bool, late: int) -> tuple[float, float]:
-    """What of it is covered when it stands again, and how fast it was; velocities have effect so many ticks late."""
+    """Return the covered way when it stands again, and its highest speed. Velocities take effect so many ticks late."""
     distance, begin, fastest = Distance(amount, turns=turns), ridden.ride.state.odometry, 0.0
     waiting: deque[Velocity] = deque([STILL] * late)
     while (velocity := distance.next(ridden.ride.state, ridden.now_s)) is not None:

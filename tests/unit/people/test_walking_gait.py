@@ -29,7 +29,7 @@ ELKAPOD: Final = Path(__file__).parents[3] / "examples" / "elkapod"
 
 @cache
 def robot(name: str) -> Robot:
-    """The default one, and the example's with its limits and speeds; `slow` has servos of a third of the speed."""
+    """Return the default robot, or the example's with its limits; `slow` has servos of a third of the speed."""
     if name == "elkapod":
         limits = load_settings(ELKAPOD / "gateway.toml", simulated=True).limits.servos
         ranges = {int(key): Range(each.min_deg, each.max_deg, each.max_speed_deg_s) for key, each in limits.items()}

@@ -37,7 +37,7 @@ class Arrival(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Bytes on the link."""
+        """Return its bytes on the link."""
         one = {"op": self.op.name.lower(), "angle_deg": 91.37}
         leg = {"servos": [one] * 3}
         target = COMMAND_KEYS[self.key].target
@@ -106,7 +106,7 @@ class Robot:
         return {servo for servo, _ in targets_of(key, STOP)}
 
     def run(self, arrivals: Iterable[Arrival], until_ms: float) -> "Robot":
-        """Let them arrive, and time pass until then."""
+        """Deliver these, and let time pass until then."""
         waiting = deque(sorted(arrivals, key=lambda each: each.at_ms))
         now_ms = 0.0
         while True:
@@ -175,7 +175,7 @@ def stream(
 
 
 def batched(arrivals: Iterable[Arrival]) -> list[Arrival]:
-    """As Zenoh sends them without `express` on a busy link: what comes within a millisecond leaves together."""
+    """Deliver as Zenoh does without `express` on a busy link: messages within a millisecond leave together."""
     return [each._replace(at_ms=float(-(-each.at_ms // 1))) for each in arrivals]
 
 

@@ -196,7 +196,7 @@ def test_one_that_waited_for_the_whole_timeout_is_rejected() -> None:
 
 
 def offset_of(rise_ms: list[tuple[float, float]]) -> float:
-    """How late a button's last message counts as sent, in ms: its messages come at (s) with so much delay (ms)."""
+    """Return how late a button's last message counts as sent, in ms. Its messages: when (s), delay (ms)."""
     robot, at_ms = Scenes(RULES), 0.0
     for number, (at_s, delay_ms) in enumerate(rise_ms):
         at_ms = at_s * 1000

@@ -142,7 +142,7 @@ CYCLE = [Kind.BUS_MEDDLED, Kind.BUS_FAULT, Kind.BUS_RECOVERED, Kind.LEGS_STOPPED
 
 
 async def meddled(monkeypatch: pytest.MonkeyPatch) -> tuple[Robot, list[str]]:
-    """A robot of which leg 3 runs, which has not written for a while, and what is found changed on its device."""
+    """Return a robot of which leg 3 runs, which has not written for a while, and whose device was changed."""
     robot = await started_and_quiet(watchdog={"timeout_ms": 10_000}, rules={"repeats": 2})
     assert robot.ask(LEG_3, START).accepted
     await asyncio.sleep(0.5)

@@ -24,7 +24,7 @@ START = all_legs("start", 80)
 
 
 async def walking(**sections: dict[str, object]) -> ElkapodRobot:
-    """All servos run, and their legs are commanded from now on."""
+    """Run all servos, and command their legs from now on."""
     robot = await elkapod(**sections)
     assert robot.ask(keys.LEGS_COMMAND, START).accepted
     await asyncio.sleep(0.1)
@@ -127,7 +127,7 @@ async def test_a_controller_that_restarts_is_shut_down_and_moves_only_after_a_ne
 
 @pytest.fixture
 def ends() -> Iterator[tuple[int, str]]:
-    """Yield the controller's end, and the path of the program's."""
+    """Yield the controller's end, and the path of the program's end."""
     ours, theirs = os.openpty()
     tty.setraw(theirs)
     yield ours, os.ttyname(theirs)

@@ -101,7 +101,7 @@ def judged(signs: SignsOfLife, values: Iterable[Measured], begun_ms: int = 0) ->
 
 
 def noisy(cycles: int, first: int = 0) -> list[Measured]:
-    """Answers of a robot at rest, whose gyroscope is never without noise."""
+    """Return answers of a robot at rest, whose gyroscope is never without noise."""
     return [AT_REST._replace(angular_velocity_rad_s=(0.001 * each, 0, 0)) for each in range(first, first + cycles)]
 
 
@@ -147,7 +147,7 @@ def test_a_robot_whose_values_rest_is_alive(quiet: str) -> None:
 def beaten(
     signs: SignsOfLife, until_ms: int, begun_ms: int = 0, *, without: Collection[int] = (), late: int = 0
 ) -> None:
-    """Heartbeats of each 50 ms but `without` these, looked for in each cycle; `late`: whose cycle came late, in ms."""
+    """Send heartbeats each 50 ms but `without` these, polled in each cycle. `late`: ms of a late cycle."""
     came_ms = [at_ms for at_ms in range(50, 100_000, 50) if at_ms not in without]
     seen_ms = begun_ms
     for cycle_ms in range(begun_ms + 20, until_ms, 20):
@@ -265,12 +265,12 @@ class Parts(Uart):
             self.error = error
 
     def go(self) -> None:
-        """Do one cycle, now."""
+        """Do one cycle now."""
         self.frame = None
         self.bus.cycle(nullcontext(), lambda _values, _ns: None, lambda fault: setattr(self, "error", fault))
 
     def cycles(self, number: int) -> None:
-        """So many, each 20 ms after the last."""
+        """Do so many cycles, each 20 ms after the last."""
         for _ in range(number):
             self.now_ns += 20 * MS
             self.go()
@@ -283,7 +283,7 @@ class Parts(Uart):
 
     @property
     def fault(self) -> str | None:
-        """Return what was raised or reported since this was last asked."""
+        """Return what was raised or reported since the last call."""
         found, self.error = self.error or self.report.fault, None
         self.report = BatchReport()
         return None if found is None else f"{type(found).__name__}: {found}"
@@ -480,7 +480,7 @@ def commanded() -> Commanded:
 
 
 def cycle(commanded: Commanded) -> bytes | None:
-    """A frame leaves; what the UART says behind it."""
+    """Send a frame, and return the UART's output after it."""
     commanded.frame()
     return commanded.left()
 

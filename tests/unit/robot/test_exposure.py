@@ -26,7 +26,7 @@ def config(**settings: Any) -> zenoh.Config:
 
 
 def rejected(*listen: str, **settings: Any) -> bool:
-    """`settings` may have the endpoints, too."""
+    """Check that it is rejected; `settings` may have the endpoints, too."""
     try:
         exposure.check(config(**{"listen/endpoints": list(listen), **settings}), allow_insecure=False)
     except ConfigError:

@@ -18,7 +18,6 @@ ZERO = b"\0"
 
 
 def passes(framing: Framing, *data: bytes) -> bool:
-    """Return whether a batch of these transfers may be written."""
     try:
         check([(each, 7) for each in data], range(0), announces=framing is PREFIXED)
     except IllegalTransferError:
@@ -27,7 +26,7 @@ def passes(framing: Framing, *data: bytes) -> bool:
 
 
 def is_written_so(data: bytes, avoid_from_cdeg: int = 0, avoid_to_cdeg: int = 0) -> bool:
-    """Whether these are the bytes of a frame that is read, and written again in the same way; no angle is avoided."""
+    """Return whether these bytes are a frame that is written again in the same way. No angle is avoided."""
     try:
         frame = decode(data)
     except FrameError:
@@ -37,7 +36,7 @@ def is_written_so(data: bytes, avoid_from_cdeg: int = 0, avoid_to_cdeg: int = 0)
 
 
 def legal(framing: Framing, data: list[bytes]) -> bool:
-    """The rule, said in another way: cut into zeros and frames, nothing is left."""
+    """Return whether nothing is left after cutting into zeros and frames: another form of the rule."""
     left = list(data)
     while left:
         first = left.pop(0)

@@ -37,7 +37,7 @@ FLOODS: Final[dict[str, Callable[[Robot, int], None]]] = {
 
 
 async def incident(robot: Robot) -> None:
-    """Anna walks for a second, and Bert stops the robot."""
+    """Let Anna walk for a second, and Bert stop the robot."""
     robot.put(LEG_3, leg("start", 90, 45, 120, source="anna"))
     for number in range(10):
         await asyncio.sleep(0.1)
@@ -51,7 +51,7 @@ def beat(robot: Robot) -> None:
 
 
 def copied(folder: Path, count: int) -> list[Path]:
-    """So many copies, once the thread has made them."""
+    """Return so many copies, once the thread has made them."""
     ring = (folder / RING_FILE).resolve()
     wait_until(lambda: len(copies_of(ring)) >= count)
     return copies_of(ring)

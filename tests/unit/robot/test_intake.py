@@ -71,7 +71,7 @@ def decode(key: CommandKey, payload: bytes, encoding: str) -> Intent | Rejection
 
 
 def check_intake(key: CommandKey, payload: bytes, answer: object) -> None:
-    """An answer is an Intent that is true to the payload and makes legal frames, or a Rejection in one short line."""
+    """Check that an answer is an Intent true to the payload with legal frames, or a Rejection in one short line."""
     if isinstance(answer, Rejection):
         assert key.target is not Target.ESTOP
         assert answer.reason in _UNREAD
@@ -104,7 +104,6 @@ def _with_every_name_once(pairs: list[tuple[str, object]]) -> dict[str, object]:
 
 
 def _check_targets(key: CommandKey, sent: dict[str, Any], targets: Targets) -> None:
-    """Compare with another reading of the same JSON, by the standard library and by hand."""
     assert sent.keys() <= {"op", "angle_deg", "servos", "legs", "source", "sent_ms"}
     match key.target:
         case Target.SERVO:
@@ -151,7 +150,6 @@ def rejection(key: CommandKey, payload: object, encoding: str = JSON) -> Rejecti
 
 
 def servo_op(payload: str) -> ServoOp:
-    """Return what a payload on a servo's key asks for."""
     answer = decode(SERVO_32, payload.encode(), JSON)
     assert isinstance(answer, Intent), answer
     ((servo_id, op),) = answer.targets

@@ -34,7 +34,7 @@ SETTINGS = PowerSettings("socketcan")
 
 
 def told(bus: BoardBus, *, stops_written: bool = True) -> tuple[bool, list[tuple[str, bool]]]:
-    """Return what it says, and returns."""
+    """Return what it reports, once it returns."""
     said: list[tuple[str, bool]] = []
     cut = SupplyCut(SETTINGS, lambda sentence, confirmed: said.append((sentence, confirmed)), bus.opened)
     if stops_written:

@@ -225,7 +225,7 @@ async def test_what_is_no_request_is_answered_and_told_and_repeats_nothing(
 
 
 async def watched(required: int = 1, **buttons: Any) -> tuple[Robot, ButtonAck]:
-    """The kitchen is alive."""
+    """Return a robot whose kitchen button is alive."""
     robot = await started_and_quiet(buttons={"required": required, **buttons}, watchdog={"timeout_ms": 10_000})
     ack = robot.button("register", "kitchen")
     assert robot.button("alive", button=ack.button, count=1).accepted

@@ -153,7 +153,7 @@ class Gateway:
 
     @property
     def kinds(self) -> list[bool]:
-        """Of each frame written, whether it is a Stop."""
+        """Return of each written frame whether it is a Stop."""
         return [decode(data).is_stop for _, data in self.controller.transfers]
 
 
@@ -226,7 +226,7 @@ def test_whoever_waits_is_next_although_the_owner_takes_it_again_at_once() -> No
     owners: list[str] = []
 
     def choose(names: list[str]) -> str:
-        """The patient thread comes as far as it can while the other owns the state; else that one goes before it."""
+        """Choose the patient thread while the other owns the state, else the other."""
         owned = cast(Any, owner)._state.held_by == "greedy"
         return "patient" if names == ["patient"] or (owned and "patient" in names) else "greedy"
 
@@ -258,7 +258,6 @@ def receiving() -> Iterator[Receiving]:
     loop, ring, started = SteppedLoop(stage), Ring(stage), list[ReceiverThread]()
 
     def start(note: Callable[[object, int], Callable[[], float | None]]) -> Parts:
-        """Return a receiver thread whose ring has two messages, which it receives once the stage runs."""
         ring.items += [b"", b""]
         owner = Ownership()
         started.append(ReceiverThread(cast(Any, loop), owner, "receiver", cast(Any, ring), cast(Any, note)))

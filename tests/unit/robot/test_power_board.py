@@ -82,7 +82,7 @@ def test_questions_do_not_flood_the_bus() -> None:
 
 
 def at_rest() -> Link:
-    """A link whose board has confirmed that all is off."""
+    """Return a link whose board has confirmed that all is off."""
     link = Link()
     link.want(NONE)
     link.run(300)
@@ -212,7 +212,7 @@ def test_what_is_reported_once_has_ended_after_a_second_without_its_frames(
 
 
 def servos(words: str) -> frozenset[int]:
-    """`all`, `none`, `11,12` or `all-11,12`."""
+    """Return the servos in `all`, `none`, `11,12` or `all-11,12`."""
     whole, _, without = words.partition("-")
     found = ALL_SERVOS if whole == "all" else frozenset(map(int, whole.split(","))) if whole != "none" else frozenset()
     return found - (servos(without) if without else frozenset())
@@ -223,7 +223,7 @@ def mask(words: str) -> int:
 
 
 def _alter(link: Link, shown: int | None) -> None:
-    """Masks in the board's answers show these outputs on as well; None: they are lost."""
+    """Show these outputs as on in the board's answers; None: lose the answers."""
 
     def altered(frame: CanFrame) -> CanFrame:
         if frame.id != SUPPLIED:
@@ -235,12 +235,12 @@ def _alter(link: Link, shown: int | None) -> None:
 
 
 def _second(link: Link) -> None:
-    """A second board on the bus answers what the first one does."""
+    """Add a second board, which answers as the first one does."""
     link.second = SimulatedBoard(link.now_ns)
 
 
 def _repeat(link: Link, words: str) -> None:
-    """`4000 0.25 hears 69`: so often, with so many milliseconds behind each."""
+    """Repeat `4000 0.25 hears 69`: so many times, with this many milliseconds after each."""
     times, pause_ms, word, rest = words.split(" ", 3)
     for _ in range(int(times)):
         DONE[word](link, rest)
@@ -315,7 +315,7 @@ SO: Final[dict[str, Callable[[Link, str, int], tuple[object, object]]]] = {
 
 
 def play(link: Link, scene: str) -> None:
-    """Lines of `what is done; … → what is then so; …`."""
+    """Play lines of `what is done; … → the result; …`."""
     for line in scene.strip().splitlines():
         done, _, facts = line.partition("  #")[0].partition("→")
         at_ns = link.now_ns
@@ -502,7 +502,7 @@ def test_an_ask_is_lost_once_a_later_one_was_answered_or_after_2_s() -> None:
 
 
 def asked_every_10_ms(count: int) -> BoardQuestions:
-    """The board answered at 1000 ms, and to none of these, of which the first left at 1000 ms."""
+    """Return a board that answered at 1000 ms, and to none of the later questions, the first at 1000 ms."""
     questions = BoardQuestions()
     questions.answered(1000 * NS_PER_MS)
     for number in range(count):
@@ -575,7 +575,7 @@ def errors() -> BoardErrors:
 
 
 def frames(errors: BoardErrors, at_ms: range, *, without: bool = True) -> list[tuple[int, CanFrame]]:
-    """What leaves, with its time (ms)."""
+    """Return what leaves, with its time (ms)."""
     return [(ms, frame) for ms in at_ms for frame in errors.next_frames(ms * NS_PER_MS, without=without)]
 
 

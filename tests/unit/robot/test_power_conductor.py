@@ -29,7 +29,7 @@ UP_S: Final = 1.2
 
 
 async def ready(**sections: dict[str, object]) -> FedRobot:
-    """A robot whose board answers. Nothing is fed."""
+    """Return a robot whose board answers, and that feeds nothing."""
     robot = FedRobot(**sections)
     await asyncio.sleep(UP_S)
     assert robot.line.fed() == frozenset()
@@ -37,7 +37,7 @@ async def ready(**sections: dict[str, object]) -> FedRobot:
 
 
 async def runs(**sections: dict[str, object]) -> FedRobot:
-    """A robot of which leg 3 runs, and is fed."""
+    """Return a robot of which leg 3 runs, and is fed."""
     robot = await ready(**sections)
     await starts(robot, within_s=0.4)
     assert robot.line.fed() == LEG_3_SERVOS
@@ -45,7 +45,6 @@ async def runs(**sections: dict[str, object]) -> FedRobot:
 
 
 async def keep(robot: FedRobot | FedElkapod, seconds: float, key: str, payload: dict[str, object]) -> None:
-    """Send this ten times a second, so that no watchdog expires."""
     for _ in range(round(seconds * 10)):
         robot.put(key, payload)
         await asyncio.sleep(0.1)
@@ -54,14 +53,14 @@ async def keep(robot: FedRobot | FedElkapod, seconds: float, key: str, payload: 
 async def starts(
     robot: FedRobot | FedElkapod, key: str = LEG_3, payload: dict[str, object] = START, *, within_s: float = 0.5
 ) -> None:
-    """A start is accepted once its servos are fed."""
+    """Start, and check that the start is accepted once its servos are fed."""
     answers = robot.get(key, payload)
     await asyncio.sleep(within_s)
     assert [ack.accepted for ack in answers] == [True]
 
 
 def shutdowns(robot: FedElkapod) -> int:
-    """How many the UART has said."""
+    """Return how many shutdowns the UART has sent."""
     return sum(word == "shutdown" for _, word in robot.said)
 
 

@@ -65,7 +65,7 @@ class Owner:
         return self.reported(kind)[0]
 
     def feed_all(self) -> None:
-        """Also where the adapter's thread gets no processor for so long that the board seems silent."""
+        """Feed all, even if the adapter's thread gets no processor for so long that the board seems silent."""
         while self.line.status.supplied != ALL_SERVOS:
             self.line.request(lambda board, now_ns: board.want(frozenset(), 0, now_ns))
             self.line.request(lambda board, now_ns: board.want(ALL_SERVOS, 0, now_ns))
@@ -119,7 +119,7 @@ def bus() -> Iterator[BoardBus]:
 
 
 def started(*buses: BoardBus) -> Owner:
-    """Of a line that receives from the first of these interfaces."""
+    """Return the owner of a line that receives from the first of these interfaces."""
     owner = Owner(*buses)
     buses[0].answer(0x69)
     owner.line.start()

@@ -127,7 +127,7 @@ class Judge:
             assert robot.elkapod.messages[-1][1] == START
 
     def off_is_off(self, key: str, payload: object, servo_ids: Collection[int]) -> None:
-        """Ask for a Stop; where the answer says confirmed, the real board feeds none of these."""
+        """Ask for a Stop. If the answer is confirmed, the real board must feed none of these."""
         robot = self.robot
 
         def answered(data: bytes) -> None:
@@ -182,7 +182,7 @@ def do(judge: Judge, what: str, number: int) -> None:
 
 
 def exchange(judge: Judge, what: str) -> None:
-    """Boards come and go. A real one that is unplugged at once, before anybody could see two, is not judged."""
+    """Exchange boards. A real one that is unplugged before anybody could see two is not judged."""
     line, now_ns = judge.robot.line, judge.robot.now_ns()
     judge.faulty_ns = now_ns
     if what == "second board" and line.second is None:
@@ -277,7 +277,7 @@ async def play(make: Callable[..., AnyRobot], steps: list[tuple[str, int, float]
 
 
 async def an_emergency_stop_ends_it(judge: Judge) -> None:
-    """Check that with a working link, whatever was, it takes all, is confirmed, and all comes back."""
+    """Check that with a working link an emergency stop cuts all, is confirmed, and all comes back."""
     robot, line = judge.robot, judge.robot.line
     line.cable, line.deaf, line.hears = True, False, True
     line.board, line.second = judge.real, None

@@ -26,7 +26,7 @@ FOLDER = Path(__file__).parents[2] / "data" / "scene"
 
 
 async def _play(framing: Framing, *, lists: bool) -> Robot:
-    """Start, streams above and below the rate, Stops of each kind, a fault, the end."""
+    """Play the start, streams above and below the rate, Stops of each kind, a fault, the end."""
     robot = Robot({"spi": {"framing": framing}, "limits": {"start_stagger_ms": 5, "takeover_deg_s": 0}})
     if not lists:
         robot.take_no_lists()

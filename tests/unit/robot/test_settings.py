@@ -91,7 +91,6 @@ pytestmark = pytest.mark.usefixtures("_clean_environment")
 
 
 def load(path: Path | None = None) -> Settings:
-    """Load as `run --sim` does: without a stated framing."""
     return settings.load(path, simulated=True)
 
 

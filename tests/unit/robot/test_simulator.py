@@ -259,7 +259,7 @@ class Bench:
         return sent
 
     def until(self, answer: int, most: int = 2000) -> tuple[int, CanFrame]:
-        """After how many passes the first frame with this identifier comes, and the frame."""
+        """Return after how many passes the first frame with this identifier comes, and the frame."""
         for number in range(1, most + 1):
             for frame in self.passes(1):
                 if frame.id == answer:
@@ -278,7 +278,7 @@ def bench() -> Bench:
 
 @pytest.fixture
 def fed(bench: Bench) -> Bench:
-    """All outputs are on, long ago."""
+    """Switch all outputs on, long ago."""
     bench.take(ALL)
     bench.passes(1000)
     assert bench.board.fed == 0x3FFFF

@@ -297,7 +297,7 @@ class SupervisorMachine(RuleBasedStateMachine):
 
     @invariant()
     def what_is_due_is_known(self) -> None:
-        """The usual way leaves the time that was due before, which may be early, and never late."""
+        """Check that the usual way leaves the previous due time, which may be early, and never late."""
         legs = self.supervisor.legs
         due_ns, others = legs.due_ns, (legs.stops.due_ns, legs.at_rest)
         legs.plan(self.now_ns)

@@ -12,7 +12,6 @@ RUNS: Final = "rules max_speed_cdeg_s={31: 10000}\n 1 leg 3 start 90\n"
 
 
 def angles(steps: Scenes, until_ms: float) -> list[float]:
-    """Return the angles sent to servo 31 as time passes."""
     frames = [line.split() for line in steps.do(until_ms, "pass") if line.startswith("command")]
     assert all(words[1:3] == ["31", "set"] for words in frames), frames
     return [float(words[3]) for words in frames]

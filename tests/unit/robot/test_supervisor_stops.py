@@ -315,7 +315,7 @@ def at_rest() -> Scenes:
 
 
 def runs_of(robot: Scenes) -> list[float]:
-    """Wake it up as it wants, until it wants nothing any more: when all legs got Stops, each servo's own at last."""
+    """Wake it up when it asks, until it asks no more. Return when all legs got Stops, each servo's own last."""
     found = []
     words: list[str] = []
     while robot.due_ms is not None:
