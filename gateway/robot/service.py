@@ -46,7 +46,7 @@ from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers
 from gateway.robot.runtime.revocations import Revocations, list_common_names, revocation_state
 from gateway.robot.runtime.shutdown import SHUTDOWN_S, ServiceEnd, close_within, stop_the_robot
 from gateway.robot.settings import Settings
-from gateway.robot.spi.cyclic import CyclicBus, run_cycles
+from gateway.robot.spi.cyclic import run_cycles
 from gateway.robot.wires import SimulatedParts
 from gateway.robot.zenoh_io.connection_limiter import ConnectionLimiter
 from gateway.robot.zenoh_io.inbox import Inbox
@@ -241,7 +241,7 @@ class _Service:
             # Stops before Zenoh: servos that move at the start are stopped before any command can arrive.
             with self.owner:
                 conductor.start()
-            if isinstance(self.bus, CyclicBus):
+            if self.bus.cycle is not None:
                 cycle = partial(self.bus.cycle, self.owner, conductor.measured, conductor.bus_failed)
                 cycles = in_thread("cycle", partial(run_cycles, cycle))
                 cycles.add_done_callback(asyncio.Future.result)  # a mistake ends the service

@@ -44,7 +44,6 @@ from gateway.robot.runtime.report import RobotReports, wall_clock
 from gateway.robot.runtime.supply import RobotSupply, off_button
 from gateway.robot.settings import Settings
 from gateway.robot.spi import Wire
-from gateway.robot.spi.bus import Bus
 from schemas.keys import COMMAND_KEYS
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Ack, Cause, Kind, Mode, Reason
@@ -102,8 +101,6 @@ class Conductor:
         self._timer = OwnersTimer(self.loop, self.owner, self._wake)
         self._reopen_timer = OwnersTimer(self.loop, self.owner, self._reopen)
         self._preamble_timer = OwnersTimer(self.loop, self.owner, self._write_preamble)
-        self._announcing = bus if isinstance(bus, Bus) and bus.announces else None
-        """The bus to a controller that reads announced frames. Only such a controller can be out of sync."""
         self._in_fault = False
         self.closed = False
         """Whether the conductor is closed and writes nothing more."""
@@ -287,7 +284,7 @@ class Conductor:
                 outcome = self.executor.carry_out_usual(frames, command, now_ns, instant_ns)
                 if outcome is not None:
                     self._after_fault(outcome)
-                if self._announcing is not None:
+                if self.bus.announces:
                     self._arm()  # for the preamble
             else:
                 outcome = self._step(command, instant_ns, now_ns)
@@ -428,9 +425,9 @@ class Conductor:
 
     def _arm(self) -> None:  # mutants accepted (Forget, Step): a tick too many does nothing; a time that is over
         """Set the timers for what is due next."""
-        due_ns, bus = self.supervisor.due_ns, self._announcing
-        if bus is not None:
-            preamble_ns = self._preamble_ns(bus)
+        due_ns, bus = self.supervisor.due_ns, self.bus
+        if bus.announces:
+            preamble_ns = self._preamble_ns()
             if not self._preamble_timer.armed and (bus.resync_due or self._is_due(preamble_ns)):
                 self._preamble_timer.set_in(0)  # on the loop, so that other owners get the state between two parts
             if due_ns is not None and preamble_ns is not None and not self._preamble_timer.armed:
@@ -445,9 +442,9 @@ class Conductor:
     def _is_due(self, due_ns: int | None) -> bool:
         return due_ns is not None and self.clock() >= due_ns
 
-    def _preamble_ns(self, bus: Bus) -> int | None:
+    def _preamble_ns(self) -> int | None:
         """Return when to write the preamble of repeated Stops, or None if none is due or it is written."""
-        repeat_ns = self.supervisor.legs.stops.due_ns
+        repeat_ns, bus = self.supervisor.legs.stops.due_ns, self.bus
         return None if repeat_ns is None or bus.just_resynchronised else repeat_ns - bus.preamble_ns
 
     def _write_preamble(self) -> None:  # mutants accepted (Step): a time that is over
@@ -456,8 +453,8 @@ class Conductor:
         A preamble in parts delays a Stop by one part at most, and is complete before Stops are repeated. Without a
         pause, the bus writes it ahead of a frame.
         """
-        bus = self._announcing
-        if bus is None or not (bus.resync_due or self._is_due(self._preamble_ns(bus))):
+        bus = self.bus
+        if not (bus.resync_due or self._is_due(self._preamble_ns())):
             self._arm()  # a frame was written meanwhile, with its preamble
             return
         try:

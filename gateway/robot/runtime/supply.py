@@ -19,7 +19,6 @@ from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.power.board import Confirmed, News, PowerBoard, Then
 from gateway.robot.power.line import PowerLine
 from gateway.robot.spi import Wire
-from gateway.robot.spi.cyclic import CyclicBus
 from schemas.keys import ESTOP
 from schemas.telemetry import Kind
 
@@ -94,8 +93,7 @@ class RobotSupply:
         self.line = line
         """For any thread: `status`, and `cut`, which waits neither for SPI nor for the state. Only `close` waits."""
         self._supervisor = supervisor
-        self._ready = wire.ready_servos if isinstance(wire, CyclicBus) else None
-        """Returns those of the given servos whose angle is on the wire, if supply starts servos; else None."""
+        self._ready = wire.ready_servos
         self._asked = _NONE
         self._feed: Mapping[int, int | None] = {}
         """The servos to power. Without an angle on the wire they are not powered yet."""

@@ -6,15 +6,19 @@ stops as a whole (`Rules.starts_whole`).
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 
 from gateway.errors import ControllerSilentError, SpiError
+from gateway.model.elkapod import Measured
 from gateway.model.frames import Frame
 from gateway.robot.protocol.latency import Latency
 
 Transfer = tuple[bytes, int]
 """The bytes of one chip-select cycle, and the shortest pause after them in µs. In v1.0.0 nothing comes back."""
+Owner = AbstractContextManager[None]
+"""The lock of the robot's state."""
 Batch = Sequence[Transfer]
 """Transfers that leave together. No other transfer, of any program, comes between them or into the last pause."""
 
@@ -89,6 +93,14 @@ class Wire(ABC):
 
     _device: OpenDevice | None
     """None: closed."""
+    announces = False
+    """Whether the controller reads announced frames. Only such a controller can be out of sync."""
+    preamble_ns = 0
+    """How long a preamble takes."""
+    ready_servos: Callable[[Mapping[int, int | None]], frozenset[int]] | None = None
+    """Returns those of the given servos whose angle is on the wire, if supply starts servos; else None."""
+    cycle: Callable[[Owner, Callable[[Measured, int], None], Callable[[SpiError], None]], None] | None = None
+    """Exchanges one frame, for a thread of its own, if the wire works in cycles; else None."""
 
     def __init__(self) -> None:
         self.frames = 0
@@ -109,6 +121,23 @@ class Wire(ABC):
     @abstractmethod
     def close(self) -> None:
         """Release the device. Never raises; closing twice is harmless."""
+
+    def write_zeros(self) -> bool:
+        """Write a part of a preamble in a pause of the stream. Return whether more parts follow. Raises SpiError.
+
+        Between two parts the caller lets Stops pass, so that a Stop waits for one part at most.
+        """
+        return False
+
+    @property
+    def resync_due(self) -> bool:
+        """Whether the stream's next pause has to be used for `write_zeros`."""
+        return False
+
+    @property
+    def just_resynchronised(self) -> bool:
+        """Whether nothing was written since the last whole preamble."""
+        return False
 
     def release(self) -> None:
         """Release the part at fault, so that `open` opens it again. Never raises."""

@@ -204,10 +204,6 @@ class Bus(Wire):
         self._call(report, min(at_once, PREAMBLE_ZEROS - self._zeros))
 
     def write_zeros(self) -> bool:
-        """Write a part of a preamble in a pause of the stream. Return whether more parts follow. Raises SpiError.
-
-        Between two parts the caller lets Stops pass, so that a Stop waits for one part at most.
-        """
         if self._device is None or self.just_resynchronised:
             return False
         try:
@@ -219,12 +215,10 @@ class Bus(Wire):
 
     @property
     def resync_due(self) -> bool:
-        """Whether the stream's next pause has to be used for `write_zeros`."""
         return self.announces and self._ended_ns - self._synchronised_ns >= RESYNC_NS - RESYNC_NS // EARLY_SHARE
 
     @property
     def just_resynchronised(self) -> bool:
-        """Whether nothing was written since the last whole preamble."""
         return self._zeros >= PREAMBLE_ZEROS
 
     def close(self) -> None:

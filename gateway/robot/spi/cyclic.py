@@ -64,8 +64,6 @@ class CyclicBus(Wire):
         self._device: DuplexDevice | None = None
         self._uart: Uart | None = None
         self._commanded = Commanded(fed_singly=fed_singly)
-        self.ready_servos: Callable[[Mapping[int, int | None]], frozenset[int]] = self._commanded.prepare
-        """Return those of these servos that a power board may power; see `Commanded.prepare`."""
         self._signs = SignsOfLife(0)
         self._silent: ControllerSilentError | None = None
         self._frames_ns = 0  # when frames begin
@@ -73,6 +71,10 @@ class CyclicBus(Wire):
         self._exchanging = False
 
     # ---- for the service
+
+    def ready_servos(self, servos: Mapping[int, int | None]) -> frozenset[int]:
+        """Return those of these servos that a power board may power; see `Commanded.prepare`."""
+        return self._commanded.prepare(servos)
 
     def open(self) -> None:
         """Open UART and device if they are closed, and shut down. Raises SpiError, also for a silent controller."""

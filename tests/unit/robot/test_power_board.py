@@ -672,7 +672,9 @@ def test_some_wait_for_the_board_and_further_ones_learn_at_once_that_nothing_is_
     asked: list[tuple[frozenset[int], int, Then, int]] = []
     board = SimpleNamespace(when_off=lambda *it: asked.append(it), want=lambda *_: None)
     line = SimpleNamespace(request=lambda act: act(board, 0), status=Status())
-    supply = RobotSupply(cast(PowerLine, line), Supervisor(Rules(power=True)), cast(Wire, None))
+    supply = RobotSupply(
+        cast(PowerLine, line), Supervisor(Rules(power=True)), cast(Wire, SimpleNamespace(ready_servos=None))
+    )
     answers: dict[int, float | None] = {}
     for number in range(MOST_WAITING + 1):
         supply.confirm((11, 12), number, partial(answers.__setitem__, number))
@@ -686,7 +688,9 @@ def test_some_wait_for_the_board_and_further_ones_learn_at_once_that_nothing_is_
 
 def test_what_was_fed_before_the_latest_request_does_not_count() -> None:
     line = SimpleNamespace(request=lambda _: None, status=Status(alive=True, fed=frozenset({11})))
-    supply = RobotSupply(cast(PowerLine, line), Supervisor(Rules(power=True)), cast(Wire, None))
+    supply = RobotSupply(
+        cast(PowerLine, line), Supervisor(Rules(power=True)), cast(Wire, SimpleNamespace(ready_servos=None))
+    )
     supply._ask(frozenset({11}))
     assert supply.take_news([])[0].fed == frozenset()
     line.status = line.status._replace(changes=1)
