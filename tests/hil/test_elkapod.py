@@ -121,7 +121,9 @@ def start_all(robot: ElkapodBed, client: Client) -> None:
 # ---- start
 
 
-def test_it_begins_with_shutdowns_and_clocks_frames_in_which_nothing_moves(robot: ElkapodBed, client: Client) -> None:
+def test_elkapod_2025_begins_with_shutdowns_and_clocks_frames_in_which_nothing_moves(
+    robot: ElkapodBed, client: Client
+) -> None:
     robot.wait_for_count(ENOUGH, LATE_S)
     first, *_ = frames = robot.transfers
     order = robot.said_since()

@@ -204,7 +204,7 @@ def test_the_bridge_ends_at_a_signal_and_stops_what_runs(gateway: Gateway, watch
         assert watcher.state().lease.holder is None
 
 
-def test_one_that_dies_leaves_the_legs_to_the_watchdog(gateway: Gateway, watcher: Client) -> None:
+def test_a_bridge_that_dies_leaves_the_legs_to_the_watchdog(gateway: Gateway, watcher: Client) -> None:
     happened = events(watcher)
     with RclpyBridge(gateway, "--drive", domain=OTHER_DOMAIN) as own, RclpyPeer(OTHER_DOMAIN) as peer:
         peer.advertise("/hexapod/cmd_base_height", Float64)

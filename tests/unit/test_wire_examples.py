@@ -322,7 +322,7 @@ def test_an_error_and_no_answer_are_faults(
         wire.apply([(11, None)])
 
 
-def test_it_keeps_the_contract_of_a_wire(
+def test_the_maestro_keeps_the_contract_of_a_wire(
     board: Maestro,
     maestro_kind: type[ServoWire],
     tmp_path: Path,

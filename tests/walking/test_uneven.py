@@ -119,7 +119,7 @@ def test_on_a_flat_floor_it_goes_nine_tenths_as_far_as_blind() -> None:
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
-def test_it_stands_still_before_an_edge_that_a_blind_walk_goes_over(sensor: str) -> None:
+def test_the_robot_stands_still_before_an_edge_that_a_blind_walk_goes_over(sensor: str) -> None:
     felt = walk("edge", SENSORS[sensor](), 6.0)
     assert "no ground under leg" in felt.limit
     assert felt.worst_deg < 5.0

@@ -179,7 +179,7 @@ def threads_of(inbox: Inbox) -> list[threading.Thread]:
 
 
 @pytest.mark.parametrize("end", ENDS)
-async def test_each_of_its_threads_that_ends_is_noticed(held: Held, end: Callable[[Inbox], None]) -> None:
+async def test_each_thread_of_the_inbox_that_ends_is_noticed(held: Held, end: Callable[[Inbox], None]) -> None:
     assert held.inbox.makes_progress()
     end(held.inbox)
     await held.until(lambda: not held.inbox.makes_progress())
@@ -327,7 +327,7 @@ async def test_what_was_passed_over_in_a_full_ring_and_what_names_no_key_of_ours
     assert (unknown.target, unknown.received_ns) == (None, 7)
 
 
-async def test_it_is_closed_when_none_of_its_threads_has_anything_in_hand() -> None:
+async def test_the_inbox_is_closed_once_no_thread_has_anything_in_hand() -> None:
     counted = Counted()
     assert counted.inbox.makes_progress()
     closing = threading.Thread(target=counted.inbox.close)

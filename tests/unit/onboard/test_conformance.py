@@ -101,7 +101,9 @@ def judged(
 
 
 @pytest.mark.parametrize("kind", [Board, Whole])
-def test_one_that_keeps_all_ends_stopped(kind: type[ServoWire], judged: Callable[..., tuple[int, str]]) -> None:
+def test_a_plugin_that_keeps_the_contract_ends_stopped(
+    kind: type[ServoWire], judged: Callable[..., tuple[int, str]]
+) -> None:
     code, said = judged(kind)
     assert code == 0, said
     assert "board keeps it all" in said

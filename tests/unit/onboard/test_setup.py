@@ -365,7 +365,7 @@ def test_certificates_come_at_any_time(computer: Computer, people: Path, source:
     ],
     ids=["a laptop's", "of two authorities", "unzipped", "no zip", "a laptop's zip"],
 )
-def test_others_certificates_are_rejected_before_anything_changes(
+def test_certificates_of_another_authority_are_rejected_before_anything_changes(
     computer: Computer, people: Path, tmp_path_factory: pytest.TempPathFactory, files: dict[str, str] | str, fault: str
 ) -> None:
     """What stands at each name: a file, or that of the same name in a folder."""

@@ -339,7 +339,7 @@ def test_where_starting_again_failed_the_press_is_used_up_and_the_reason_is_said
 
 
 @pytest.mark.parametrize(("rest_s", "after_s", "ends"), [(1.0, 1.0, Phase.ENDS), (8.0, 2.0, Phase.FAILED)])
-def test_one_that_has_fallen_is_stopped_behind_the_silence_and_given_up_behind_two_seconds(
+def test_a_fallen_robot_is_stopped_after_the_silence_and_given_up_after_two_seconds(
     rest_s: float, after_s: float, ends: Phase
 ) -> None:
     """And not at their end; it has fallen right behind a command."""

@@ -165,7 +165,7 @@ def test_two_gateways_never_write_to_one_ring(path: Path) -> None:
     RecordRing(path, 50).close()
 
 
-def test_nobody_else_may_have_put_the_file_there(path: Path, tmp_path: Path) -> None:
+def test_a_black_box_that_another_user_made_is_not_opened(path: Path, tmp_path: Path) -> None:
     elsewhere = tmp_path / "secret"
     elsewhere.write_text("mine")
     path.symlink_to(elsewhere)

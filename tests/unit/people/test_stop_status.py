@@ -325,7 +325,7 @@ def test_a_press_is_asked_for_at_once_and_confirmed_by_its_answer() -> None:
     assert (press.over, press.attempts, stop.since_ns, stop.due_ns) == (True, 1, None, None)
 
 
-def test_one_that_lasts_is_asked_for_until_then_whatever_the_clock_shows() -> None:
+def test_a_stop_that_lasts_is_requested_until_its_end_whatever_the_clock_shows() -> None:
     stop = Stop(lasts_ns=2 * AGAIN_NS)
     begun_ns = 10**12
     press = stop.presses(7, begun_ns)

@@ -154,7 +154,7 @@ def test_a_certificate_has_four_places_and_gives_its_own_silent_ones_away() -> N
     assert robot.button(4, "register", "hall", holder="the hall's") == ["announce button_registered", "granted"]
 
 
-def test_one_that_is_not_wanted_checks_in_and_does_not_count() -> None:
+def test_a_button_that_is_not_wanted_checks_in_and_does_not_count() -> None:
     robot = play(WATCHED)
     robot.button(1, "register", "stranger", counts=False)
     assert robot.only(RequestAnswer).detail.endswith("does not count towards those required (buttons.names)")
@@ -184,7 +184,7 @@ def test_a_check_in_that_was_held_back_counts_no_longer_than_its_age() -> None:
     assert robot.due_ms == pytest.approx(100 + TIMEOUT_MS, abs=0.2), "it came 500 ms late; clocks may drift by 200 ppm"
 
 
-def test_one_that_waited_for_the_whole_timeout_is_rejected() -> None:
+def test_a_check_in_that_waited_for_the_whole_timeout_is_rejected() -> None:
     robot = Supervisor(RULES)
     found = robot.buttons
     found.take(ButtonRequest("register", 0, "kitchen", fresh_token=KITCHEN), 0)

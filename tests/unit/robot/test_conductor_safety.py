@@ -128,7 +128,7 @@ async def test_a_deadline_that_passes_in_a_tick_is_of_its_instant(monkeypatch: p
 
 
 @pytest.mark.parametrize("verb", [Verb.PUT, Verb.GET])
-async def test_it_is_told_behind_the_stops_of_each_emergency_stop_and_at_its_reset(verb: Verb) -> None:
+async def test_the_keeper_is_called_after_the_stops_of_each_emergency_stop_and_at_its_reset(verb: Verb) -> None:
     robot = Robot()
     told: list[tuple[int, bool, int, str | None]] = []
 

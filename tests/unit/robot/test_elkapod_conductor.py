@@ -153,7 +153,7 @@ def test_what_has_come_is_read_without_waiting_and_nothing_is_no_fault(ends: tup
     os.close(ours)
 
 
-def test_one_that_is_unplugged_says_so(ends: tuple[int, str]) -> None:
+def test_an_unplugged_uart_is_named(ends: tuple[int, str]) -> None:
     ours, path = ends
     uart = SerialUart(path)
     os.close(ours)

@@ -45,7 +45,7 @@ ENGAGED = KeptEstop(7, True, "anna", SINCE)
 UNHEARD_OF = 10**9
 
 
-def test_one_that_was_left_is_gone_and_its_number_is_not(tmp_path: Path) -> None:
+def test_an_emergency_stop_that_was_left_is_gone_and_its_number_is_not(tmp_path: Path) -> None:
     assert read(tmp_path) == KeptEstop(0), "a first start has none"
     assert (tmp_path / LAST_FILE).read_text() == '{"number":0}'
     write(tmp_path, ENGAGED)
@@ -201,7 +201,9 @@ async def test_a_disk_that_takes_it_again_ends_the_fault(kept: Kept, tmp_path: P
     assert robot.states[-1].estop_fault is None
 
 
-async def test_one_that_is_kept_already_is_not_written_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_an_emergency_stop_that_is_kept_already_is_not_written_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     write(tmp_path, ENGAGED)
     robot, keeper = begun(tmp_path, monkeypatch)
     await keeper.known()
@@ -216,7 +218,7 @@ async def test_one_that_is_kept_already_is_not_written_again(tmp_path: Path, mon
 
 
 @pytest.mark.parametrize("earlier", [None, KeptEstop(7), ENGAGED])
-async def test_one_that_comes_while_the_disk_is_read_is_kept(
+async def test_an_emergency_stop_that_comes_while_the_disk_is_read_is_kept(
     earlier: KeptEstop | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The power board's off button needs no client."""
@@ -348,7 +350,7 @@ async def test_what_this_process_hands_over_to_itself_is_newer_than_the_disk(
 
 
 @pytest.mark.parametrize("reset", [True, False], ids=["a reset", "the end of the service"])
-async def test_neither_a_reset_nor_the_end_waits_for_its_turn(
+async def test_neither_a_reset_nor_the_end_waits_for_the_pause_between_two_writes(
     kept: Kept, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reset: bool
 ) -> None:
     robot, keeper = kept
@@ -377,7 +379,7 @@ async def test_neither_a_reset_nor_the_end_waits_for_its_turn(
 
 @pytest.mark.parametrize("begun", [False, True], ids=["before its step", "in its step"])
 @pytest.mark.parametrize("reset", [False, True], ids=["", "while a reset is written"])
-async def test_one_that_a_transfer_that_hangs_holds_up_is_kept(
+async def test_an_emergency_stop_delayed_by_a_hanging_transfer_is_kept(
     kept: Kept, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, begun: bool, reset: bool
 ) -> None:
     """systemd kills the gateway then, and the next run has to start engaged. So does a mistake in its step end it."""

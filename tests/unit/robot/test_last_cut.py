@@ -129,7 +129,7 @@ def test_a_cut_leaves_the_channel_of_an_adapter_open_that_a_gateway_uses(tmp_pat
     assert b"C" not in adapter.received[adapter.received.index(b"O") :]
 
 
-def test_it_begins_behind_the_first_stops_or_at_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_last_cut_begins_after_the_first_stops_or_at_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(last_cut, "START_S", 60.0)
     bus = BoardBus()
     cut = SupplyCut(SETTINGS, lambda *_: None, bus.opened)

@@ -88,7 +88,7 @@ async def test_a_stop_beside_moves_comes_first_in_a_call_of_its_own_and_the_answ
 
 
 @pytest.mark.parametrize("error", [SystemExit(2), KeyboardInterrupt(2), GeneratorExit(2)], ids=type)
-def test_one_that_calls_exit_is_a_bug_and_the_other_servos_are_stopped(
+def test_a_plugin_that_calls_exit_is_a_bug_and_the_other_servos_are_stopped(
     monkeypatch: pytest.MonkeyPatch, error: BaseException
 ) -> None:
     monkeypatch.setattr(Exits, "error", error)
@@ -99,7 +99,7 @@ def test_one_that_calls_exit_is_a_bug_and_the_other_servos_are_stopped(
     assert Exits.stopped == {11, 13}, "a mistake with one servo keeps no Stop from the others"
 
 
-def test_one_that_cannot_be_opened_for_a_bug_gets_stops_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_plugin_that_cannot_be_opened_for_a_bug_gets_stops_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Exits, "stopped", set())
     monkeypatch.setattr(Exits, "open", lambda _self: sys.exit(2))
     with pytest.raises(RuntimeError, match="exits: SystemExit: 2"):
@@ -107,7 +107,7 @@ def test_one_that_cannot_be_opened_for_a_bug_gets_stops_all_the_same(monkeypatch
     assert Exits.stopped == {11}, "up to the servo for which it exits"
 
 
-def test_one_that_is_unplugged_is_a_fault_until_it_is_opened_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_plugin_that_is_unplugged_is_a_fault_until_it_is_opened_again(monkeypatch: pytest.MonkeyPatch) -> None:
     bus = plugin_bus(WireSettings("exits", {}))
     bus.open()
     with monkeypatch.context() as unplugged:
@@ -130,7 +130,7 @@ def test_descriptors_of_a_closed_plugin_are_kept_for_it() -> None:
     assert len(spare._kept) == SPARES
 
 
-def test_one_that_exits_where_it_is_made_is_a_sentence() -> None:
+def test_a_plugin_that_exits_where_it_is_made_is_a_sentence() -> None:
     with pytest.raises(ValueError, match=r'"early" .* cannot be loaded with these options: SystemExit'):
         _ = WireSettings("early", {}).plugin
 
@@ -141,7 +141,7 @@ def test_a_limit_on_what_a_plugin_cannot_hand_over_is_not_accepted() -> None:
     assert not Settings.of({"wire": {"name": "exits"}}).measures
 
 
-def test_one_that_another_gateway_has_is_not_even_closed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_plugin_that_another_gateway_has_is_not_even_closed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """It was never opened here: on shared hardware its `close` could take the servos from the other gateway."""
     monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
     first, second, closed = (plugin_bus(WireSettings("exits", {})), plugin_bus(WireSettings("exits", {})), list[str]())

@@ -172,7 +172,7 @@ def test_bytes_come_in_any_portions_and_an_endless_line_does_no_harm() -> None:
 OFF: dict[int, float | None] = dict.fromkeys(SERVO_IDS)
 
 
-def test_one_that_is_driven_holds_and_takes_more_until_it_is_there() -> None:
+def test_a_driven_servo_holds_and_draws_more_until_it_is_there() -> None:
     draw = SimulatedDraw()
     assert draw.draw_ma({**OFF, 21: 60.0}, (), 0) == {**dict.fromkeys(SERVO_IDS, WAITS_MA), 21: 450.0}
     assert draw.draw_ma({**OFF, 21: 60.0}, (), 84 * MS)[21] == 450.0, "30 degrees take 85 ms"
