@@ -24,7 +24,7 @@ from gateway.onboard.check.table import FailedError, demand, ms_since
 from gateway.onboard.computer import SELECT_BY_GPIO
 from gateway.people.client.blocking import Client
 from gateway.people.commands.moving import ServoMotion, consent, lying, ready, stopped_after
-from gateway.people.commands.reach import Connection, drives, show_differences
+from gateway.people.commands.reach import Connection, me, show_differences
 from gateway.people.terminal import ask, say
 from gateway.words.own_command import command
 from schemas import keys
@@ -245,7 +245,7 @@ def move(connect: Connection, *, agreed: bool) -> int:
             end = "stopped." if ack.accepted else f"not stopped: {ack.reason}: {ack.detail}"
             return f"{which.capitalize()} {end}"
 
-        with drives(client, _HOLD_S, moves=True), stopped_after(which, stop):
+        with client.lease(source=me()), stopped_after(which, stop):
             bench = Bench(client, motion)
             bench.start()  # only once: a set is rejected for what somebody else has stopped
             for angle_deg in (motion.start_deg, motion.end_deg):

@@ -1,6 +1,5 @@
 """`check --stops`: prove on this robot, step by step, that it stops. At the end everything is stopped."""
 
-import math
 import re
 import subprocess
 import sys
@@ -17,7 +16,7 @@ from gateway.onboard.check.move import STREAM_S, Bench, StopsOptions
 from gateway.onboard.check.table import SERVICE, CheckStep, FailedError, Skipped, conclude, demand, ms_since, shown
 from gateway.people.client.blocking import Client
 from gateway.people.commands.moving import ServoMotion, consent, lying, ready, stopped_after
-from gateway.people.commands.reach import Connection, drives, show_differences
+from gateway.people.commands.reach import Connection, me, show_differences
 from gateway.people.terminal import ask, hint, on_end_signals
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Mode, PowerReport, Reason
@@ -59,7 +58,7 @@ def stops(connect: Connection, options: StopsOptions) -> int:
             for number, step in enumerate(steps, 1):
                 hint(f"{number}/{len(steps)} {step.name}: {step.does} …")
                 bench.forget()
-                held = drives(client, math.inf, moves=True)
+                held = client.lease(source=me())
                 outcomes.append(step.outcome(bench, held, quiet=options.as_json))
                 with suppress(GatewayError):  # the end tries again, and reports it
                     bench.rest()

@@ -175,7 +175,7 @@ class CheckStep(NamedTuple):
         """Return the step of a function: its name and docstring are the step's."""
         return cls(run.__name__.replace("_", "-"), str(run.__doc__).rstrip("."), run)
 
-    def outcome(self, means: object, held: AbstractContextManager[None], *, quiet: bool = False) -> dict[str, object]:
+    def outcome(self, means: object, held: AbstractContextManager[object], *, quiet: bool = False) -> dict[str, object]:
         """Run it while `held`, and print the result unless `quiet`. Return it as `--json` prints it."""
         result, figures = "PASS", dict[str, Any]()
         try:

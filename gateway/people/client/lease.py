@@ -15,7 +15,7 @@ from weakref import WeakKeyDictionary, ref
 
 import zenoh
 
-from gateway.errors import GatewayError, LeaseError, LeaseLostError, UnansweredError, ZenohError
+from gateway.errors import GatewayError, LeaseError, LeaseLostError, ZenohError
 from gateway.people.client import stopped
 from gateway.people.client.lease_requests import Requests
 from gateway.people.client.renewal import Holds, Renewal
@@ -344,16 +344,12 @@ def _keep(found: "ref[Lease]", news: threading.Event) -> None:
 
 
 def own_lease(client: DrivingClient) -> Lease | None:
-    """Acquire a lease for the time of a stream or a walk. None: the client has one, or an older gateway knows of none.
+    """Acquire a lease for the time of a stream or a walk. Return None if the client has one.
 
-    Raises LeaseError if somebody else drives, UnansweredError without a gateway.
+    Raises LeaseError if somebody else drives, UnansweredError without an answer.
     """
     if client.carried_lease is not None:
         return None
     lease = Lease(client)
-    try:
-        lease.acquire()
-    except UnansweredError:
-        client.state(CONFIRM_S)
-        return None
+    lease.acquire()
     return lease

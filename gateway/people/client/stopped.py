@@ -43,13 +43,8 @@ UNKNOWN: Final = "the gateway, or somebody without a name,"
 
 
 def tells(event: Event) -> bool:
-    """Return whether an event states why legs stop. `legs_stopped` does for a command; for the rest, another one does.
-
-    An older gateway's event of single legs does not name them.
-    """
-    if event.kind == Kind.LEGS_STOPPED:
-        return event.cause == Cause.COMMAND and event.source is not None
-    return bool(event.legs) or event.kind not in (Kind.WATCHDOG_EXPIRED, Kind.OVERFLOW)
+    """Return whether an event states why legs stop. `legs_stopped` does for a command; for the rest, another does."""
+    return event.kind != Kind.LEGS_STOPPED or (event.cause == Cause.COMMAND and event.source is not None)
 
 
 def sender(who: str | None, own_name: str, *, own: bool) -> str:

@@ -11,7 +11,7 @@ from weakref import finalize
 
 import zenoh
 
-from gateway.errors import GatewayError, RejectedError, StoppedError, UnansweredError, WalkError
+from gateway.errors import GatewayError, RejectedError, StoppedError, WalkError
 from gateway.geometry import Geometry, load
 from gateway.people.client import stopped
 from gateway.people.client.lease import DrivingClient, Lease, own_lease
@@ -469,9 +469,7 @@ def dropped(walk: Walk) -> None:
 
 def robot_of(client: DrivingClient, geometry: Geometry, state: GatewayState) -> Robot:
     """Return the robot with its limits and calibration. Raises WalkError if geometry and calibration both mirror it."""
-    calibration = None
-    with suppress(UnansweredError):  # an older gateway has none
-        calibration = client.calibration()
+    calibration = client.calibration()
     check_mirrored_once(geometry, calibration)
     limits = ranges(state.limits, calibration)
     return Robot(geometry, limits, starts_whole=state.wire.whole_robot, fed_singly=state.power is not None)

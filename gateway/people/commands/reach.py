@@ -10,7 +10,7 @@ from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Final
 
-from gateway.errors import LeaseError, RejectedError, UnansweredError, ZenohError
+from gateway.errors import RejectedError, UnansweredError, ZenohError
 from gateway.host import effective
 from gateway.host.directories import CONFIGURATION
 from gateway.people.client.blocking import Client
@@ -58,31 +58,6 @@ def show_differences(config: Path | None = None) -> None:
     used = effective.running()
     for each in [] if used is None else effective.differences(used, config or CONFIGURATION):
         hint(each)
-
-
-@contextmanager
-def drives(client: Client, hold_s: float, *, moves: bool) -> Iterator[None]:
-    """Hold the lease for the time of a `with`, if something moves for `hold_s`.
-
-    Raises LeaseError if somebody else holds it.
-    """
-    if not moves or not hold_s:
-        yield
-        return
-    lease = client.lease(source=me())
-    try:
-        lease.acquire()
-    except UnansweredError:  # a gateway that knows of no lease
-        pass
-    except LeaseError as error:
-        if error.reason == Reason.LEASE_HELD:
-            raise
-        if error.reason == Reason.LEASE_DENIED:  # an older gateway does not know the request
-            hint(f"The command is sent without the lease: {error.detail}")
-    try:
-        yield
-    finally:
-        lease.release()
 
 
 def rejected(error: RejectedError | Ack) -> int:

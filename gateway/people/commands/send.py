@@ -3,7 +3,7 @@
 import math
 import time
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from typing import Any, Final
 
 from gateway.errors import ConfigError, GatewayError, LeaseError
@@ -60,7 +60,7 @@ def send(connect: Connection, kind: str, number: int, op: str, angles_deg: Seque
 
     def hold(client: Client) -> int:
         try:
-            with reach.drives(client, hold_s, moves=moves):
+            with client.lease(source=me()) if moves and hold_s else nullcontext():
                 code = command_report(client.ask(key, payload, again=not moves), "accepted", client.state)
                 end = time.monotonic() + hold_s
                 while code == 0 and time.monotonic() < end:

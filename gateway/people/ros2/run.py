@@ -8,7 +8,7 @@ import math
 import threading
 import time
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack, closing, suppress
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -17,7 +17,7 @@ from typing import Any, Final, TypeVar
 from pydantic import BaseModel, ValidationError
 from zenoh.handlers import RingChannel
 
-from gateway.errors import ConfigError, UnansweredError
+from gateway.errors import ConfigError
 from gateway.geometry import load
 from gateway.people.client.subscriptions import States
 from gateway.people.commands.reach import Connection
@@ -208,8 +208,7 @@ def serve(
                 with_tf=with_tf,
                 is_open=is_open,
             )
-            with suppress(UnansweredError):  # an older gateway has none
-                reports.joints.take(keys.CALIBRATION, client.calibration().model_dump(mode="json"))
+            reports.joints.take(keys.CALIBRATION, client.calibration().model_dump(mode="json"))
             topics.subscribe()
             node.serve("reset", partial(driving.reset, allowed=allow_reset))
             node.serve("drive", driving.drive)

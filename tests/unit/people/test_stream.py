@@ -73,9 +73,6 @@ class Robot:
     def check_open(self) -> None:
         pass
 
-    def calibration(self) -> Any:
-        raise UnansweredError("an older gateway has none")
-
     def stream(self, hz: float) -> Stream:
         found: Any = self
         return Stream(found, hz)
