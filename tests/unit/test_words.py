@@ -53,19 +53,6 @@ INSTEAD: Final = {
     r"(is|are) what .{1,30} (does|do)|what .{1,30} is so": "(subject, verb, object)",
     r"ha(s|ve) (it|the robot) (sit|stand|walk|lie|stop|land)": "makes the robot sit …",
     r"takes nothing": "accepts nothing",
-    r"after the protocol": "written to the protocol document",
-    r"(taken|received) from nobody|to nobody": "has no previous source; frees the lease",
-    r"(the|a) normal course": "informational",
-    r"what nobody|as nobody else": "(name who)",
-    r"holds a stop(?! button)": "a stop button in somebody's hand",
-    r"whether it lives|to be called by": "is alive; Call it …",
-    r"nothing stops for": "… never stops the gateway",
-    r"no button ever": "The layout never shifts",
-    r"what (it|the service|this machine) lacks": "what is missing",
-    r"reads? no list|shut out: the archive": "do not check revocations",
-    r"if at all|a Stop of these|names those that|what takes the supply": "Return …, or None if …",
-    r"nothing waits for|foot was then|of an equal share": "(name the thing)",
-    r"means every key|when the gait ended": "addresses all six legs; when something stopped the gait",
 }
 """The words, and what stands in their place."""
 ANY: Final = re.compile("|".join(rf"(?<![\w.])(?:{word})(?![\w=(])" for word in INSTEAD), re.IGNORECASE)
