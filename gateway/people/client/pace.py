@@ -11,16 +11,11 @@ LATE_PART: Final = 0.5
 """The part of a period after which a late setpoint waits for the next tick, to keep a distance between two."""
 MOST_DEG: Final = 3.2
 """Half a turn in radians, rounded up."""
-RADIANS_S: Final = 1.0
-"""A whole stride of most gaits. A leg in degrees stays between 0 and 3.2 for this time only on purpose."""
 MOST_QUESTIONS: Final = 2
 """Questions a second while the robot is stopped or the gateway does not answer."""
 _KEPT_TICKS: Final = 1000
 """The ticks kept for the jitter: 20 s at 50 Hz."""
-LIKE_RADIANS: Final = (
-    f"all angles of this stream were between 0 and {MOST_DEG:g} for {RADIANS_S:g} s; angles are degrees, and these "
-    'look like radians (`unit="rad"` takes them)'
-)
+LIKE_RADIANS: Final = 'angles are degrees, 0 to 180, and these look like radians (`unit="rad"` takes them)'
 
 
 class Jitter(NamedTuple):
@@ -171,27 +166,11 @@ def thins(hz: float, limit_hz: float) -> str | None:
     )
 
 
-class Radians:
-    """Detects a gait in radians, whose angles are all legal, but hardly move the robot. Pure.
+def like_radians(angles_deg: Iterable[float]) -> bool:
+    """Return whether angles look like radians, which are all legal in degrees, but hardly move the robot. Pure.
 
-    >>> radians = Radians()
-    >>> [radians.suspected([(1.57, 0.8, 2.1)], now_s) for now_s in (0.0, 0.9, 1.0, 1.1)]
-    [False, False, True, False]
+    >>> like_radians((1.57, 0.8, 2.1)), like_radians((90, 0.8, 2.1)), like_radians((0, 0, 0))
+    (True, False, False)
     """
-
-    def __init__(self) -> None:
-        self._warn_at_s: float | None = None
-
-    def suspected(self, angles_deg: Iterable[tuple[float, ...]], now_s: float) -> bool:
-        """Return whether all angles of the last RADIANS_S look like radians; true once at most."""
-        if self._warn_at_s == math.inf:
-            return False
-        if any(angle > MOST_DEG for angles in angles_deg for angle in angles):
-            self._warn_at_s = math.inf  # permanently: one angle in degrees decides
-            return False
-        if self._warn_at_s is None:
-            self._warn_at_s = now_s + RADIANS_S
-        suspected = now_s >= self._warn_at_s
-        if suspected:
-            self._warn_at_s = math.inf
-        return suspected
+    angles = list(angles_deg)
+    return max(angles, default=math.inf) <= MOST_DEG and any(each % 1 for each in angles)

@@ -73,7 +73,6 @@ class Stream:
         self._hz = checked_hz(hz)
         self._pace = pace.SetpointPace(hz)
         self._retries = pace.Retries()
-        self._radians = pace.Radians()
         self._started: frozenset[int] = frozenset()
         self._to_stop: frozenset[int] = frozenset()
         self._lease: Lease | None = None  # under which it started them
@@ -225,11 +224,11 @@ class Stream:
     # ---- the parts of `set`
 
     def _read(self, angles: Setpoints, unit: Unit) -> LegAngles:
-        """Return the angles in degrees. Raises as `set`. Warn once if they look like radians."""
+        """Return the angles in degrees. Raises as `set`. Warn if the first look like radians."""
         read = legs_angles(angles, unit)
         if not read:
             raise ValueError("no leg is given")
-        if self._radians.suspected(read.values(), time.monotonic()):
+        if not self._sent and pace.like_radians(angle for leg in read.values() for angle in leg):
             warnings.warn(pace.LIKE_RADIANS, stacklevel=3)
         if self._rival is not None and not self._warned:
             self._warned = True

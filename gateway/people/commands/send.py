@@ -1,12 +1,12 @@
 """`send`, `estop` and `reset`: one acknowledged command each, through a running gateway."""
 
-import math
 import time
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext, suppress
 from typing import Any, Final
 
 from gateway.errors import ConfigError, GatewayError, LeaseError
+from gateway.people.client import pace
 from gateway.people.client.blocking import Client
 from gateway.people.client.lease_requests import Identity
 from gateway.people.client.payloads import leg_payload, legs_payload, servo_payload
@@ -52,7 +52,7 @@ def send(connect: Connection, kind: str, number: int, op: str, angles_deg: Seque
         key = _KEYS[kind](number)
     except ValueError as error:
         raise ConfigError(str(error)) from error
-    if angles_deg and max(angles_deg) <= math.tau and any(each % 1 for each in angles_deg):
+    if pace.like_radians(angles_deg):
         hint("Angles are in degrees, 0 to 180. These look like radians.")
     payload, moves = _payload(kind, op, tuple(angles_deg)), op != "stop"
     # A repeated start would undo somebody else's Stop.

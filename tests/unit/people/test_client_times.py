@@ -25,7 +25,6 @@ from gateway.people.client import pace as pace_module
 from gateway.people.client import payloads as payloads_module
 from gateway.people.client.diagnosis import Stage, diagnose, validity
 from gateway.people.client.lease_requests import Identity
-from gateway.people.client.pace import MOST_DEG, RADIANS_S, Radians
 from gateway.people.client.patience import ATTEMPT_S, OTHER_WAY_S, Patience, Query, QuestionStep
 from gateway.people.client.subscriptions import KEPT_EVENTS
 from gateway.people.commands import why
@@ -104,18 +103,6 @@ def test_another_way_is_searched_for_once_and_at_once_if_the_link_is_lost() -> N
     lost.ended(query, 0.01)
     assert lost.step(0.01) is QuestionStep.OTHER_WAY
     assert lost.step(0.01) is QuestionStep.WAIT
-
-
-def test_radians_are_suspected_once_and_never_of_a_program_that_has_sent_degrees() -> None:
-    radians = Radians()
-    found = [radians.suspected([(MOST_DEG, 0.0)], now_s) for now_s in (0.0, RADIANS_S, RADIANS_S + 1)]
-    assert found == [False, True, False]
-    degrees = Radians()
-    assert not any(degrees.suspected([(angle,)], now_s) for angle, now_s in ((MOST_DEG + 0.01, 0), (1, 9), (1, 99)))
-    late = Radians()
-    late.suspected([(1.0,)], 0.0)
-    late.suspected([(90.0,)], 0.1)
-    assert not late.suspected([(1.0,)], RADIANS_S)
 
 
 # ---- how long a gateway has published nothing, and what pages are shown of that
@@ -215,7 +202,7 @@ async def test_a_gateway_that_has_ended_is_gone_at_once_and_no_older_state_bring
     shown.connect()
 
 
-@pytest.mark.parametrize(("module", "count"), [(pace_module, 16), (payloads_module, 4), (silence_module, 5)])
+@pytest.mark.parametrize(("module", "count"), [(pace_module, 15), (payloads_module, 4), (silence_module, 5)])
 def test_the_examples_are_right(module: ModuleType, count: int) -> None:
     assert doctest.testmod(module) == (0, count)
 
@@ -225,7 +212,6 @@ TIMES: dict[tuple[ModuleType, str], float] = {
     (confirmed_stop, "REQUESTS_AT_ONCE"): 4,
     (confirmed_stop, "MAX_PRESSES"): 16,
     (pace, "LATE_PART"): 0.5,
-    (pace, "RADIANS_S"): 1.0,
     (pace, "MOST_DEG"): 3.2,
     (pace, "SILENCE_S"): 0.5,
     (patience, "RESEND_S"): 0.05,

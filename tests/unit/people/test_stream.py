@@ -220,6 +220,14 @@ def test_a_program_whose_setpoints_take_a_leg_from_another_one_is_warned_once(ro
     stream.set({1: POSE, 2: POSE})
 
 
+def test_a_gait_in_radians_is_warned_of_with_its_first_setpoint(robot: Any) -> None:
+    with Stream(robot, HZ) as stream:
+        with pytest.warns(UserWarning, match="these look like radians") as warned:
+            stream.set({1: (1.57, 0.8, 2.1)})
+        assert warned[0].filename == __file__
+        stream.set({1: (1.57, 0.8, 2.1)})
+
+
 # ---- a program that goes on after each error
 
 
