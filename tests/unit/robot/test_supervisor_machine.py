@@ -114,9 +114,18 @@ RULES = st.builds(
     feed_ns=st.sampled_from([30, 1800]).map(lambda ms: ms * NS_PER_MS),
 )
 RULES = RULES.map(lambda rules: replace(rules, angles_first=rules.angles_first and rules.power))
+
+
+def with_every_motion(rules: Rules) -> Rules:
+    """Return rules that meet often: all that change how servos move, and none that keeps the robot from moving."""
+    landing_cdeg = {11: 0, 12: 180_00, 21: 30_00, 62: 0}
+    moves = replace(rules, takeover_cdeg_s=180_00, landing_ns=2000 * NS_PER_MS, landing_cdeg=landing_cdeg)
+    return replace(moves, lease_required=False, min_battery_mv=0)
+
+
 WHOLE_OR_NOT = st.one_of(
     RULES,
-    RULES,
+    RULES.map(with_every_motion),
     RULES.map(lambda rules: replace(rules, starts_whole=True, start_pause_ns=0, power=False, angles_first=False)),
 )
 CALIBRATIONS = st.sampled_from(
