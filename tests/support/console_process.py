@@ -104,6 +104,7 @@ def opened(url: str, session: SignedIn, verify: ssl.SSLContext | None = None, pa
             ssl=verify,
             compression=None,
             max_size=2**20,
+            max_queue=None,  # a full queue holds up the end of the connection: 10 s
         )
 
     for _ in range(TRIES - 1):
