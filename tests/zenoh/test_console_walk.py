@@ -126,6 +126,7 @@ def test_a_page_that_falls_silent_stands_and_goes_on_with_a_new_press_only_and_o
             assert (stands(later), later["waits"]) == (True, True)
             walks(page, pad)
         page.socket.close()
+        other.state(lambda state: state["lease"]["holder"] is not None)
         is_free(other)
 
 
