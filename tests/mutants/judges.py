@@ -37,7 +37,7 @@ _CALIBRATION_REQUESTS: Final = (*_robot("calibration_conductor"), *_tests("zenoh
 _CHECKER: Final = (*_people("lease_checker"), *_robot("lease"))
 _BUS: Final = (*_robot("bus conductor conductor_safety"), *_SETTINGS, *_robot("slow_failures"))
 _POWER: Final = _robot("power_board power_conductor")
-_WALKING: Final = _people("walking_gait walking_balance ride client_times")
+_WALKING: Final = _people("walking_robot walking_gait walking_balance ride client_times")
 _CYCLIC: Final = _robot("elkapod_wire elkapod_conductor power_conductor")
 
 JUDGES: Final = {
