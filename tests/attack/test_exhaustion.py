@@ -182,7 +182,7 @@ def test_silent_connections_keep_no_scrape_out_and_no_stop_waiting(tmp_path: Pat
 
 
 def own_threads(gateway: Gateway) -> int:
-    """Return how many threads are not Zenoh's, of which more come on a busy machine. A call may have one for a moment."""
+    """Return how many threads are not Zenoh's: of those more start on a busy machine. A call may have one, too."""
     names = []
     for task in Path(f"/proc/{gateway.child.pid}/task").iterdir():
         with suppress(OSError):  # it has ended
