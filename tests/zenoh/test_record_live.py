@@ -223,7 +223,7 @@ def test_hours_of_walking_need_as_much_memory_as_ten_minutes(
 ) -> None:
     """In virtual time. Prints the size of an hour."""
     with gateway.client() as observer, robot.walk() as walk:
-        reports = ReportQueue(observer.states, robot.state().physics)
+        reports = ReportQueue(observer.states, observer.state().physics)
         walk.go(0.05)
         reports.subscribe(observer.session)
         begun_ns = time.monotonic_ns()
