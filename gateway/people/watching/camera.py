@@ -9,9 +9,10 @@ last one while its camera is stuck.
 import asyncio
 import re
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from email.message import Message
+from email.parser import HeaderParser
 from typing import Final, NamedTuple
 
 import aiohttp
@@ -31,12 +32,12 @@ SILENT_S: Final = 5.0
 """The longest wait for a picture, also for the first."""
 AGAIN_S: Final = 1.0
 """Pause before a camera is tried again."""
-MAX_REDIRECTS: Final = 3
 DRIFT: Final = 200e-6
 """Twice the error of a bad crystal, since two clocks drift apart."""
 MAX_LATE_NS: Final = 5 * NS_PER_S
 """A picture that is later by its server's clock than this: that clock was set. A new connection begins anew."""
 UNNAMED: Final = "camera"
+_TOO_LARGE: Final = "sends pictures of more than 1 MB; set a lower resolution or quality"
 
 _NAMED: Final = re.compile(r"(?P<name>[A-Za-z0-9_-]{1,20})=(?P<url>https?://.*)", re.DOTALL)
 
@@ -52,58 +53,40 @@ class Picture(NamedTuple):
     taken_ns: int
 
 
-class StreamPart(NamedTuple):
-    """A part of a multipart stream; its headers in lower case."""
+class StreamParts:
+    """The parts of a multipart stream, one after the other. At most a picture is in memory."""
 
-    headers: Mapping[str, str]
-    jpeg: bytes
-
-
-class Mjpeg:
-    """Cuts a multipart stream into JPEGs, and keeps `MAX_JPEG_BYTES` at most. Pure."""
-
-    def __init__(self, boundary: str) -> None:
-        """Some servers have the dashes in the boundary already, so these do not count."""
+    def __init__(self, more: Callable[[], Awaitable[bytes]], boundary: str) -> None:
+        """`more` returns the stream's next bytes. Some servers have the dashes in the boundary already."""
+        self._more = more
         self._delimiter = b"--" + boundary.strip("-").encode("latin-1", "replace")
         self._bytes = bytearray()
-        self._headers: dict[str, str] | None = None
 
-    def feed(self, data: bytes) -> Iterator[StreamPart]:
-        """Yield the parts that are complete. Raises CameraError for anything that is no stream of JPEGs."""
-        self._bytes += data
-        while (self._headers is not None or self._head()) and (jpeg := self._body()) is not None:
-            yield StreamPart(self._headers or {}, jpeg)
-            self._headers = None
+    async def next(self) -> tuple[Message, bytes]:
+        """Return a part's headers and its JPEG. Raises CameraError for anything else, and what `more` raises."""
+        await self._take(self._delimiter, MAX_HEAD_BYTES, "sends no picture that begins")
+        head = await self._take(b"\r\n\r\n", MAX_HEAD_BYTES, "sends no picture that begins")
+        headers = HeaderParser().parsestr(head.partition(b"\r\n")[2].decode("latin-1"))
+        stated = headers.get("content-length", "")
+        end = 4 + int(stated) if stated.isascii() and stated.isdigit() else b"\r\n" + self._delimiter
+        if headers.get_content_type() in ("image/jpeg", "image/jpg"):
+            jpeg = (await self._take(end, MAX_JPEG_BYTES, _TOO_LARGE))[4:]
+            if jpeg.startswith(b"\xff\xd8"):
+                return headers, jpeg
+        raise CameraError("sends something other than JPEGs")
 
-    def _head(self) -> bool:
-        begin = self._bytes.find(self._delimiter)
-        end = self._bytes.find(b"\r\n\r\n", max(begin, 0))
-        if begin < 0 or end < 0:
-            if len(self._bytes) > MAX_HEAD_BYTES:
-                raise CameraError("sends no picture that begins")
-            return False
-        lines = self._bytes[begin:end].decode("latin-1").split("\r\n")[1:]
-        fields = (line.partition(":") for line in lines)
-        self._headers = {name.strip().lower(): value.strip() for name, _, value in fields}
-        del self._bytes[: end + 4]
-        if self._headers.get("content-type", "").partition(";")[0].lower() not in ("image/jpeg", "image/jpg"):
-            raise CameraError("sends something other than JPEGs")
-        return True
-
-    def _body(self) -> bytes | None:
-        stated = (self._headers or {}).get("content-length", "")
-        size = int(stated) if stated.isascii() and stated.isdigit() else -1
-        if size < 0:
-            size = self._bytes.find(b"\r\n" + self._delimiter)
-        if max(size, len(self._bytes) if size < 0 else 0) > MAX_JPEG_BYTES:
-            raise CameraError("sends pictures of more than 1 MB; set a lower resolution or quality")
-        if size < 0 or len(self._bytes) < size:
-            return None
-        jpeg = bytes(self._bytes[:size])
-        del self._bytes[:size]
-        if not jpeg.startswith(b"\xff\xd8"):
-            raise CameraError("sends something other than JPEGs")
-        return jpeg
+    async def _take(self, end: bytes | int, most: int, why: str) -> bytes:
+        """Take the bytes before the mark `end`, or so many; for more than `most` raise CameraError with `why`."""
+        while True:
+            at = self._bytes.find(end) if isinstance(end, bytes) else end
+            if (at if at >= 0 else len(self._bytes)) > most:
+                raise CameraError(why)
+            if 0 <= at <= len(self._bytes):
+                break
+            self._bytes += await self._more()
+        found = bytes(self._bytes[:at])
+        del self._bytes[:at]
+        return found
 
 
 class Ages:
@@ -114,7 +97,7 @@ class Ages:
         """The least difference of arrival and `X-Timestamp`: a way without delay."""
         self._before_ns = 0
 
-    def taken_ns(self, headers: Mapping[str, str], now_ns: int) -> int:
+    def taken_ns(self, headers: Message | Mapping[str, str], now_ns: int) -> int:
         """Raises CameraError if the picture is too old, or its server's clock was set."""
         late_ns = _seconds(headers, "x-ustreamer-latency") * NS_PER_S
         if sent_s := _seconds(headers, "x-timestamp"):
@@ -127,7 +110,7 @@ class Ages:
         return now_ns - round(late_ns)
 
 
-def _seconds(headers: Mapping[str, str], name: str) -> float:
+def _seconds(headers: Message | Mapping[str, str], name: str) -> float:
     """A header's value; 0 if there is none."""
     with suppress(ValueError):
         return max(0.0, min(float(headers.get(name, "")), 1e10))
@@ -189,40 +172,40 @@ class Camera:
         self.trouble = f"The camera {self.name} {why}."
 
     async def _fetch(self, session: aiohttp.ClientSession) -> None:
-        """Raises CameraError, TimeoutError, aiohttp.ClientError, OSError, ValueError, also if the stream has ended."""
-        url = self._url
-        async with asyncio.timeout(SILENT_S) as silence:
-            for _ in range(1 + MAX_REDIRECTS):
-                async with session.get(url, allow_redirects=False) as answer:
-                    if (to := answer.headers.get("Location")) is None or answer.status // 100 != 3:
-                        await self._read(answer, silence)
-                    elif (url := url.join(URL(to))).host != self._url.host:
-                        raise CameraError("redirects to another host; name that one")
-            raise CameraError("redirects again and again")
+        """Raises CameraError, also if the stream has ended, TimeoutError, aiohttp.ClientError, OSError, ValueError."""
+        async with asyncio.timeout(SILENT_S) as silence, session.get(self._url, allow_redirects=False) as answer:
+            await self._read(answer, silence)
 
     async def _read(self, answer: aiohttp.ClientResponse, silence: asyncio.Timeout) -> None:
-        kind = Message()
-        kind["content-type"] = answer.headers.get("Content-Type", "")
-        boundary = kind.get_boundary()
+        if answer.status // 100 == 3:
+            raise CameraError("redirects to another address; name that one")
         if answer.status != 200:
             raise CameraError(f"answers with HTTP status {answer.status}")
+        kind = HeaderParser().parsestr(f"content-type: {answer.headers.get('content-type', '')}")
+        boundary = kind.get_boundary()
         if kind.get_content_maintype() != "multipart" or not boundary:
             raise CameraError("sends no MJPEG stream; name the stream's address, such as http://…:8080/stream")
-        parts, ages, allowance = Mjpeg(boundary), Ages(), RateLimit(BYTES_A_SECOND, BYTES_A_SECOND)
-        async for data in answer.content.iter_any():
-            for part in parts.feed(data):
-                silence.reschedule(asyncio.get_running_loop().time() + SILENT_S)
-                await self._take(part, ages.taken_ns(part.headers, time.monotonic_ns()))
+        ages, allowance = Ages(), RateLimit(BYTES_A_SECOND, BYTES_A_SECOND)
+
+        async def more() -> bytes:
+            if not (data := await answer.content.readany()):
+                raise CameraError("has ended its stream")
             if not allowance.take(time.monotonic_ns(), len(data)):
                 await asyncio.sleep(len(data) / BYTES_A_SECOND)
-        raise CameraError("has ended its stream")
+            return data
 
-    async def _take(self, part: StreamPart, taken_ns: int) -> None:
-        if part.headers.get("x-ustreamer-online", "true") != "true":
+        parts = StreamParts(more, boundary)
+        while True:
+            headers, jpeg = await parts.next()
+            silence.reschedule(asyncio.get_running_loop().time() + SILENT_S)
+            await self._take(headers, jpeg, ages.taken_ns(headers, time.monotonic_ns()))
+
+    async def _take(self, headers: Message, jpeg: bytes, taken_ns: int) -> None:
+        if headers.get("x-ustreamer-online", "true") != "true":
             raise CameraError("is not connected to its server")
-        if self._newest is not None and self._newest.jpeg == part.jpeg:
+        if self._newest is not None and self._newest.jpeg == jpeg:
             return
-        self._newest, self.trouble = Picture(part.jpeg, taken_ns), ""
+        self._newest, self.trouble = Picture(jpeg, taken_ns), ""
         async with self._changed:
             self._changed.notify_all()
 

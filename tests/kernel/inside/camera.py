@@ -6,12 +6,12 @@ import shutil
 import signal
 import subprocess
 import time
-from collections.abc import Mapping
+from email.message import Message
 from typing import Final
 
 from yarl import URL
 
-from gateway.people.watching.camera import Camera, Picture, StreamPart
+from gateway.people.watching.camera import Camera, Picture
 from tests.kernel.parts import CACHE, LIBRARIES
 
 PORT: Final = 8090
@@ -24,11 +24,11 @@ HANGS_S: Final = 2.0
 class Noted(Camera):
     """A camera whose newest headers are kept."""
 
-    headers: Mapping[str, str]
+    headers: Message
 
-    async def _take(self, part: StreamPart, taken_ns: int) -> None:
-        self.headers = part.headers
-        await super()._take(part, taken_ns)
+    async def _take(self, headers: Message, jpeg: bytes, taken_ns: int) -> None:
+        self.headers = headers
+        await super()._take(headers, jpeg, taken_ns)
 
 
 def streams() -> str:
