@@ -76,7 +76,7 @@ class StreamParts:
         raise CameraError("sends something other than JPEGs")
 
     async def _take(self, end: bytes | int, most: int, why: str) -> bytes:
-        """Take the bytes before the mark `end`, or so many; for more than `most` raise CameraError with `why`."""
+        """Take the bytes before the mark `end`, or `end` bytes. Raise CameraError with `why` for more than `most`."""
         while True:
             at = self._bytes.find(end) if isinstance(end, bytes) else end
             if (at if at >= 0 else len(self._bytes)) > most:
