@@ -5,12 +5,12 @@ Both must allow an angle. Each allows one range without gaps, so every angle bet
 gap: a motion across it waits at the near end until it would be at the far end.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
 from gateway.model.calibration import RobotCalibration
-from gateway.model.frames import MAX_ANGLE_CDEG
+from gateway.model.frames import MAX_ANGLE_CDEG, ServoOp
 from schemas.robot import SERVO_IDS
 
 _WHY_AVOIDED: Final = (
@@ -47,6 +47,14 @@ class AngleLimits:
         least_cdeg = 0 if self.avoid_cdeg is None else self.avoid_cdeg[1]
         ends = sorted(map(servo.user_cdeg, (least_cdeg, MAX_ANGLE_CDEG)))
         return max(low, servo.min_cdeg, ends[0]), min(high, servo.max_cdeg, ends[1])
+
+    def are_free(self, targets: Iterable[tuple[int, ServoOp]]) -> bool:
+        """Return whether all servos may go to these angles, and none needs a further check."""
+        for servo_id, op in targets:
+            low_cdeg, high_cdeg = self.free_cdeg[servo_id]
+            if not low_cdeg <= op.angle_cdeg <= high_cdeg:
+                return False
+        return True
 
     def why_not(self, servo_id: int, angle_cdeg: int) -> str | None:
         """Return why the servo must not go to this user's angle (hundredths of a degree), or None if it may."""

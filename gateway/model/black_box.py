@@ -15,7 +15,7 @@ SLOT bytes follow. The record with sequence number n is in slot n modulo the num
 
 A process that is killed while it writes leaves a slot with a wrong checksum. Numbers are little-endian.
 
-Commands, decisions and frames are packed by hand, since a gait writes many: a frame takes 0.3 µs, by a declarative
+Commands and frames are packed by hand, since a gait writes many: a frame takes 0.3 µs, by a declarative
 table 3.5 µs, by `construct` 20.9 µs (10.2 compiled). Their texts are UTF-8, preceded by their length, so that a new
 reason or cause needs no new version. A command key has a number, so a new key needs one. Measurements are as the
 controller sends them; other records are JSON.
@@ -53,16 +53,15 @@ pack_slot_into: Final = _SLOT.pack_into
 
 # ---- types
 
-START, END, COMMAND, DECISION, FRAME, NOTE, EVENT, INCIDENT, MORE, CLOCK, CARRIED_OUT, CALIBRATION = range(1, 13)
-ABOUT: Final = 13
-MEASURED: Final = 14
-STEP, KEYFRAME, GAP = range(15, 18)
+START, END, COMMAND, FRAME, NOTE, EVENT, INCIDENT, MORE, CLOCK, CARRIED_OUT, CALIBRATION, ABOUT = range(1, 13)
+MEASURED: Final = 13
+STEP, KEYFRAME, GAP = range(14, 17)
 """The journal, with commands: an event of the core that is no such command, its state, and the lack of an event."""
 
 
 ACCEPTED: Final = "accepted"
 COALESCED: Final = "coalesced"
-"""Verdicts of a decision, next to the reasons of rejections."""
+"""Verdicts on a request, next to the reasons of rejections."""
 
 SETTINGS: Final = ("spi", "watchdog", "limits", "lease", "buttons", "safety")
 """The sections of the settings that are recorded: what the core's rules follow from, but for wire and power board."""
@@ -116,19 +115,20 @@ def newest(buffer: Any, slots: int) -> int:
 
 COMMAND_HEAD: Final = struct.Struct("<IdIIIB")
 """A command's number and `sent_ms`; then of its step, in ns, the time since its arrival (NO_STEP: none) and since the
-instant began; the lease's number (0: no token); how many targets follow."""
+instant began; the lease's number (0: no token); how many targets follow. Then come the sender and the outcomes."""
 STEP_HEAD: Final = struct.Struct("<q")
-"""When the step's instant began; the event follows, as JSON."""
-DECISION_HEAD: Final = struct.Struct("<I")
-FRAME_HEAD: Final = struct.Struct("<IIIB")
-CARRIED_OUT_HEAD: Final = struct.Struct("<qIB")
-"""When the transfer of a CarriedOut ended, its duration (both in ns), and the length of its frames. The frames follow,
-then the command, as in a CommandRecord."""
+"""When the step's instant began; the outcomes follow, then the event as JSON."""
+OUTCOME_HEAD: Final = struct.Struct("<I")
+FRAME_HEAD: Final = struct.Struct("<IIB")
+CARRIED_OUT_HEAD: Final = struct.Struct("<qIBIdIII?")
+"""When the transfer of a command's frames ended, its duration (both in ns), and the length of the frames; then as in
+COMMAND_HEAD, but in place of the number of targets, whether the frames have them. The frames follow, then any other
+targets, as many, then the sender."""
 TARGET_BYTES: Final = 4
 """A target is as in a frame: SERVO ID, OP, INT, FLOAT."""
 NO_STEP: Final = 0xFFFFFFFF
 _UINT32: Final = NO_STEP
-_SENT_NOT: Final = float("nan")
+SENT_NOT: Final = float("nan")
 _MAX_BYTE: Final = 255
 
 
@@ -151,7 +151,7 @@ ID_BYTES: Final = 16
 
 
 @lru_cache(200)
-def _sender(verb: str, key: str, source: str | None, source_id: str | None) -> bytes:
+def sender(verb: str, key: str, source: str | None, source_id: str | None) -> bytes:
     """Return a command's verb, key and sender: texts as in `_texts`, and a Zenoh id as 16 bytes.
 
     A `source` that is the id is stored as "".
@@ -167,6 +167,12 @@ def _sender(verb: str, key: str, source: str | None, source_id: str | None) -> b
     return bytes((VERBS.index(verb), known)) + texts + (sender or b"\0" + _texts(source_id))
 
 
+def outcomes(ended: Sequence[tuple[int, str]]) -> bytes:
+    """Bytes of the requests that a step has ended: the lower 32 bits of each number, and its verdict."""
+    each = [OUTCOME_HEAD.pack(number & _UINT32) + _texts(verdict) for number, verdict in ended[:_MAX_BYTE]]
+    return bytes((len(each),)) + b"".join(each)
+
+
 def command(
     number: int,
     verb: str,
@@ -178,27 +184,22 @@ def command(
     after_ns: int = NO_STEP,
     waited_ns: int = 0,
     lease: int = 0,
+    ended: Sequence[tuple[int, str]] = (),
 ) -> bytes:
     """Bytes of a CommandRecord; `sent_ms` None is stored as NaN."""
-    sent_ms = _SENT_NOT if sent_ms is None else sent_ms
+    sent_ms = SENT_NOT if sent_ms is None else sent_ms
     fixed = COMMAND_HEAD.pack(number & _UINT32, sent_ms, after_ns, waited_ns, lease, len(targets))
-    return fixed + bytes_of(targets) + _sender(verb, key, source, source_id)
+    return fixed + bytes_of(targets) + sender(verb, key, source, source_id) + outcomes(ended)
 
 
-def decision(number: int, verdict: str, key: str, source: str | None) -> bytes:
-    """Bytes of a Decision, with the lower 32 bits of `number`."""
-    return DECISION_HEAD.pack(number & _UINT32) + _texts(verdict, key, source)
+def step(instant_ns: int, event: bytes, ended: Sequence[tuple[int, str]] = ()) -> bytes:
+    """Bytes of a StepRecord; `event` is JSON."""
+    return STEP_HEAD.pack(instant_ns) + outcomes(ended) + event
 
 
-def frame(data: bytes, cause: str, transfer_ns: int, late_ns: int = 0, number: int = 0) -> bytes:
+def frame(data: bytes, cause: str, transfer_ns: int, late_ns: int = 0) -> bytes:
     """Bytes of a FrameWritten, with the lower 32 bits of each number."""
-    head = FRAME_HEAD.pack(transfer_ns & _UINT32, late_ns & _UINT32, number & _UINT32, len(data))
-    return head + data + _texts(cause)
-
-
-def carried_out(command: bytes, data: bytes, ns: int, transfer_ns: int) -> bytes:
-    """Bytes of a CarriedOut: a CommandRecord, and the frames of one call that ended at `ns`."""
-    return CARRIED_OUT_HEAD.pack(ns, transfer_ns & _UINT32, len(data)) + data + command
+    return FRAME_HEAD.pack(transfer_ns & _UINT32, late_ns & _UINT32, len(data)) + data + _texts(cause)
 
 
 def fields(*values: object) -> bytes:
@@ -209,7 +210,7 @@ def fields(*values: object) -> bytes:
 
 # ---- the header
 
-VERSION: Final = 4
+VERSION: Final = 5
 MAGIC: Final = b"hexapod black box\n"
 
 

@@ -36,7 +36,7 @@ _ONE_LEG: Final = bytes((ONE_LEG_LEN, ONE_LEG_TYPE))
 _ONE_SERVO: Final = bytes((ONE_SERVO_LEN, ONE_SERVO_TYPE))
 _IDS: Final = {servo_id: bytes((servo_id,)) for servo_id in SERVO_IDS}
 _IDS_OF_LEG: Final = {
-    leg: ((one, two, three), (_ONE_LEG + _IDS[one], _IDS[two], _IDS[three]))
+    leg: ((one, two, three), _ONE_LEG + _IDS[one], _IDS[two], _IDS[three])
     for leg, one, two, three in ((leg, *(10 * leg + joint for joint in JOINTS)) for leg in LEGS)
 }
 """Of each leg: its servos, and the bytes of a frame that precede each operation."""
@@ -104,7 +104,13 @@ class Frame:  # mutants accepted (FalseWithTrue, LeaveOut): the rest follows fro
     leg: int = field(compare=False, repr=False)
     is_stop: bool = field(compare=False, repr=False)
     """Whether the frame only de-energises."""
+    moves: bool = field(compare=False, repr=False)
+    """Whether the frame de-energises no servo."""
     data: bytes = field(compare=False, repr=False)
+
+
+_AT_OPS: Final = slice(3, ONE_LEG_LEN, 4)
+_STOPS_ALL: Final = bytes((OP_STOP, OP_STOP, OP_STOP))
 
 
 class OneServo(Frame):
@@ -118,23 +124,27 @@ class OneServo(Frame):
         self.servos = ((servo_id, command),)
         self.leg = servo_id // 10
         self.is_stop = command.op is OP_STOP
+        self.moves = not self.is_stop
         self.data = _ONE_SERVO + _IDS[servo_id] + command.data
 
 
 class OneLeg(Frame):
-    """ONE LEG: one operation for each of a leg's joints 1, 2 and 3."""
+    """ONE LEG: one operation for each of a leg's joints 1, 2 and 3. Raises ValueError for another number of them."""
 
     __slots__ = ()
 
-    def __init__(self, leg: int, commands: tuple[ServoOp, ServoOp, ServoOp]) -> None:
-        if leg not in LEGS:
-            raise FrameError(f"the leg is {leg}; it is 1 to 6")
+    def __init__(self, leg: int, commands: Sequence[ServoOp]) -> None:
         first, second, third = commands
-        ids, (one, two, three) = _IDS_OF_LEG[leg]
+        try:
+            ids, one, two, three = _IDS_OF_LEG[leg]
+        except KeyError:
+            raise FrameError(f"the leg is {leg}; it is 1 to 6") from None
         self.servos = tuple(zip(ids, commands, strict=True))
         self.leg = leg
-        self.is_stop = first.op is OP_STOP and second.op is OP_STOP and third.op is OP_STOP
         self.data = one + first.data + two + second.data + three + third.data
+        ops = self.data[_AT_OPS]
+        self.is_stop = ops == _STOPS_ALL
+        self.moves = OP_STOP not in ops
 
 
 def frame_of(targets: tuple[tuple[int, ServoOp], ...]) -> Frame:

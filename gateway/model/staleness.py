@@ -87,24 +87,22 @@ class Staleness:
         self._woke_ms: float | None = None
         self._paused_ms = 0.0
 
-    def record_alive(self, now_ns: int) -> float:
-        """Record that the gateway runs. Call it ten times a second at least: a longer gap counts as a pause.
+    def record_alive(self, now_ns: int) -> None:
+        """Record that the gateway runs. Call it ten times a second at least: a longer gap counts as a pause."""
+        self.too_old(None, None, now_ns, now_ns)
 
-        Return `now_ns` in ms.
+    # mutants accepted (Gt_GtE, Lt_LtE, Step): equal values; a list of one
+    def too_old(  # noqa: PLR0912  (each setpoint takes this way, and a call fewer)
+        self, name: str | None, sent_ms: float | None, now_ns: int, instant_ns: int
+    ) -> str | None:
+        """Return why a command is, or may be, older than allowed (one sentence), or None if it is accepted.
+
+        `instant_ns` is when it was collected, together with others in unknown order.
         """
         now_ms, alive_ms = now_ns / 1e6, self._alive_ms
         self._alive_ms = now_ms
         if now_ms - alive_ms > self._pause_ms:
             self._woke_ms, self._paused_ms = now_ms, now_ms - alive_ms
-        return now_ms
-
-    # mutants accepted (Gt_GtE, Lt_LtE, Step): equal values; a list of one
-    def too_old(self, name: str | None, sent_ms: float | None, now_ns: int, instant_ns: int) -> str | None:
-        """Return why a command is, or may be, older than allowed (one sentence), or None if it is accepted.
-
-        `instant_ns` is when it was collected, together with others in unknown order.
-        """
-        now_ms = self.record_alive(now_ns)
         if sent_ms is None:
             return self._after_a_pause(now_ms, now_ms) if self._woke_ms is not None else None
         clocks = self._clocks_of(name, instant_ns / 1e6)

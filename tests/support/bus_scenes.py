@@ -179,7 +179,9 @@ FACTS: Final[dict[str, Callable[[Bench], object]]] = {
     "fault": lambda bench: bench.report.fault,
     "rejection": lambda bench: bench.report.rejection,
     "found": lambda bench: bench.report.meddled,
-    "sent": lambda bench: "".join(str(sent.place + 1) + "?" * (not sent.received) for sent in bench.report.sent),
+    "sent": lambda bench: "".join(
+        str(place + 1) + "?" * (not sent.received) for sent in bench.report.sent for place in sent.places
+    ),
     "errors": lambda bench: bench.bus.errors,
     "due": lambda bench: bench.bus.resync_due,
     "more": lambda bench: bench.more,

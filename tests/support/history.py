@@ -4,7 +4,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeVar
 
-from gateway.model.frames import Op, ServoOp
+from gateway.model.frames import Frame, Op, ServoOp, frame_of
 from gateway.rate_limit import NS_PER_S
 from gateway.robot.core import events
 from gateway.robot.core.events import Transmit
@@ -29,6 +29,13 @@ def demand(condition: bool, promise: str) -> None:
     """Raise Violation unless the promise was kept."""
     if not condition:
         raise Violation(promise)
+
+
+def frames_of(targets: events.Targets) -> tuple[Frame, ...]:
+    """Return the frames of a command that only moves servos, as its payload's reader makes them, or none."""
+    by_leg = events.targets_by_leg(targets).values()
+    usual = all(op.op is not Op.STOP for _, op in targets) and all(len(each) in (1, 3) for each in by_leg)
+    return tuple(map(frame_of, by_leg)) if usual else ()
 
 
 def is_announced(effects: Iterable[events.Effect], kind: Kind) -> bool:

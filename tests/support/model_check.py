@@ -11,6 +11,7 @@ of time (a tick is half a leg's period, or a quarter of it).
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass, fields, replace
 from operator import attrgetter
 from typing import Any, Final
@@ -51,7 +52,7 @@ from gateway.robot.core.supervisor import Supervisor
 from schemas.calibration import CalibrationCommand
 from schemas.telemetry import Kind, Mode, Reason
 from tests.support.calibration_history import CalibrationHistory
-from tests.support.history import STOP_SERVOS, Violation, cloned, demand, numbered, speed_age_ns
+from tests.support.history import STOP_SERVOS, Violation, cloned, demand, frames_of, numbered, speed_age_ns
 from tests.support.oracle import Oracle
 from tests.support.request_history import ButtonsHistory, LeaseHistory, Rhythm
 from tests.support.small_robots import Configuration
@@ -102,13 +103,13 @@ _KNOWN: Final = (
     (_ROBOT.legs.stops, "due_ns"),  # follows from the others
     (_ROBOT.legs.stops, "sent silent _first"),  # these count within a step
     (Repeats, "left due_ns"),
-    (Leg, "number servos slots commanded_ns expired sender unfed_ns steady"),
+    (Leg, "number servos slots commanded_ns expired sender unfed_ns steady_for"),
     (Servo, "servo_id life angle_cdeg target command begun from_cdeg pace_cdeg_s since_ns passing_cdeg"),
     (Servo, "sender known stopped_ns stopped_by"),
-    (RateSlots, "period_ns oldest_ns next_ns taken_ns"),
+    (RateSlots, "period_ns oldest_ns next_ns taken_ns _kept_ns _least_ns"),
     (
         Command,
-        "targets key source source_id sent_ms lease reply verb received_ns number lost rejected moves by_leg",
+        "targets key source source_id sent_ms lease reply verb received_ns number lost rejected moves frames",
     ),  # these never change
     (Command, "written stopped"),  # by the executor
     (Command, "left coalesced"),
@@ -127,7 +128,6 @@ def _getter(kind: type) -> "attrgetter[tuple[Any, ...]]":
 
 
 _servo_fields, _leg_fields = _getter(Servo), _getter(Leg)
-_slots_fields = _getter(RateSlots)
 
 
 def _with_legs(legs: Legs, by_number: dict[int, Leg]) -> None:
@@ -158,8 +158,7 @@ def _copied_servo(servo: Servo, commands: dict[int, Command]) -> Servo:
     if servo.target is not None:
         command = servo.command
         if command.number not in commands:
-            commands[command.number] = replace(command)
-            commands[command.number].left = command.left
+            commands[command.number] = copy(command)
         other.command = commands[command.number]
     return other
 
@@ -183,9 +182,8 @@ def copied(supervisor: Supervisor) -> Supervisor:
     commands: dict[int, Command] = {}
     for number, leg in supervisor.legs.by_number.items():
         first, second, third = (_copied_servo(servo, commands) for servo in leg.servos)
-        slots = type(leg.slots)(*_slots_fields(leg.slots))
         _, _, _, *rest = _leg_fields(leg)
-        by_number[number] = type(leg)(number, (first, second, third), slots, *rest)
+        by_number[number] = type(leg)(number, (first, second, third), copy(leg.slots), *rest)
     _with_legs(legs, by_number)
     other = cloned(supervisor, legs=legs)
     other.connect(_copied_interlocks(supervisor, legs))
@@ -426,7 +424,8 @@ def events(configuration: Configuration, state: "State", now_ns: int) -> Iterato
         for whose, token in _tokens(configuration.drivers, lease):
             by = next((name for name in ("anna", "ben") if f"{name}'s" in channel), None)
             timed = 1.0 if "with a time" in channel else None
-            command = Command(targets, key=channel, source=by, number=number, lease=token, sent_ms=timed)
+            frames = frames_of(targets)
+            command = Command(targets, frames=frames, key=channel, source=by, number=number, lease=token, sent_ms=timed)
             yield f"{channel} command {which}{whose}", command
     for stops in configuration.unread:
         unread = Rejected(Request(number=number), Reason.MALFORMED, "a test's")
@@ -556,7 +555,7 @@ def both_ways(supervisor: Supervisor, event: Event, now_ns: int, instant_ns: int
         return
     usual, general = copied(supervisor), copied(supervisor)
     general.usual_ns = 0
-    effects = [list(map(numbered, each.step(replace(event), now_ns, instant_ns))) for each in (usual, general)]
+    effects = [list(map(numbered, each.step(copy(event), now_ns, instant_ns))) for each in (usual, general)]
     demand(effects[0] == effects[1], f"the usual way does the same: {effects}")
     usual.legs.plan(now_ns)
     dues = [(each.legs.due_ns, each.legs.stops.due_ns) for each in (usual, general)]

@@ -28,7 +28,7 @@ from gateway.robot.core.supervisor import Supervisor
 from schemas.calibration import CalibrationCommand, ServoChange
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Kind
-from tests.support.history import announced, is_coalesced, spelled_out, supply_of
+from tests.support.history import announced, frames_of, is_coalesced, spelled_out, supply_of
 from tests.support.model_check import pending
 from tests.support.oracle import Oracle
 from tests.support.small_robots import Targets
@@ -133,7 +133,10 @@ class Scenes:
         if what in ("leg", "legs", "servo"):
             key, lease, source = options.get("key", "leg"), options.get("lease"), options.get("source")
             number, targets = self.next_number(), targets_of(words)
-            return self.take(at_ms, events.Command(targets, key=key, source=source, number=number, lease=lease))
+            return self.take(
+                at_ms,
+                events.Command(targets, frames=frames_of(targets), key=key, source=source, number=number, lease=lease),
+            )
         if what in ("lost", "timed"):
             lost, sent_ms = what == "lost", None if what == "lost" else 1
             command = events.Command(targets_of(more), key=what, number=99, lost=lost, sent_ms=sent_ms)

@@ -2,14 +2,13 @@
 
 from array import array
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from datetime import UTC, datetime
 from typing import Annotated, Any, Final, NamedTuple
 
 from pydantic import AwareDatetime, Field
 
 from gateway.model import black_box as form
-from gateway.model.black_box import ACCEPTED
 from gateway.model.elkapod import Measured
 from gateway.model.frames import Op
 from gateway.model.telemetry import report_of
@@ -81,7 +80,7 @@ def messages(incident: Incident, records: rec.Records) -> Iterator[RecordedMessa
     """
     times_ns = records.times_ns
     taken = array("L", (index for index, ns in enumerate(times_ns) if incident.begin_ns <= ns <= incident.end_ns))
-    decided_at, in_commands = _decisions(records, taken)
+    decided_at = _decided(records, taken)
     notes_before = [_noted(incident.wall_ns(incident.zero_ns), INCIDENT, incident.name)]
     for index in taken:
         if records.kinds[index] == form.START:
@@ -113,31 +112,23 @@ def messages(incident: Incident, records: rec.Records) -> Iterator[RecordedMessa
             ended = False
         ended = ended or records.kinds[index] == form.END
         last, before_ns = None if ended else index, record.ns
-        if not in_commands[index]:
-            yield from _messages(record, records[decided_at[index]] if decided_at[index] else None, wall_ns)
+        yield from _messages(record, records[decided_at[index]] if index in decided_at else None, wall_ns)
     yield from notes
     if killed_ns is not None:
         yield _killed(incident.wall_ns(killed_ns))
 
 
-def _decisions(records: rec.Records, taken: Iterable[int]) -> tuple[Sequence[int], Sequence[int]]:
-    """Return for each record the place of the decision on it (0: none), and whether it is the Decision on another.
-
-    An accepted command names its frame, any other has a Decision.
-    """
-    decided_at = array("L", bytes(array("L").itemsize * len(records)))
-    in_commands = bytearray(len(records))
-    waiting: dict[int | str, int] = {}
+def _decided(records: rec.Records, taken: Iterable[int]) -> Mapping[int, int]:
+    """Return the place of the step that ended a command, by the command's place."""
+    found, waiting = dict[int, int](), dict[int, int]()
     for index in taken:
-        match records[index].content:
-            case rec.CommandRecord(number=number, key=key):
-                waiting[number or key] = index
-            case rec.Decision(number=number, key=key) if (number or key) in waiting:
-                decided_at[waiting.pop(number or key)] = index
-                in_commands[index] = True
-            case rec.FrameWritten(number=number) if number in waiting:
-                decided_at[waiting.pop(number)] = index
-    return decided_at, in_commands
+        content = records[index].content
+        if isinstance(content, rec.CommandRecord):
+            waiting[content.number] = index
+        for number, _ in content.ended if isinstance(content, rec.CommandRecord | rec.StepRecord) else ():
+            if number in waiting:
+                found[waiting.pop(number)] = index
+    return found
 
 
 def _stops_before(start: rec.Record, incident: Incident) -> Iterator[RecordedMessage]:
@@ -159,7 +150,7 @@ def _noted(wall_ns: int, what: str, detail: str) -> RecordedMessage:
 
 
 def _messages(record: rec.Record, decided: rec.Record | None, wall_ns: int) -> Iterator[RecordedMessage]:
-    """Yield the record's message, if it has one. `decided`: the frame or Decision of a command."""
+    """Yield the record's message, if it has one. `decided`: that of the step that ended a command."""
     time, topic, content = _time(wall_ns), RECORDER, record.content
     report: Report
     match content:
@@ -171,8 +162,8 @@ def _messages(record: rec.Record, decided: rec.Record | None, wall_ns: int) -> I
                 )
                 for servo, op in content.targets
             )
-            verdict = None if decided is None else getattr(decided.content, "verdict", ACCEPTED)
-            decided_ms = None if decided is None else (decided.ns - record.ns) / 1e6
+            verdict, decided_ns = _outcome(content.number, decided)
+            decided_ms = None if decided_ns is None else (decided_ns - record.ns) / 1e6
             found = content._asdict() | {"targets": targets, "verdict": verdict, "decided_ms": decided_ms}
             report = CommandInBox(time=time, **found)
         case rec.FrameWritten(data, cause, transfer_ns, late_ns):
@@ -191,8 +182,6 @@ def _messages(record: rec.Record, decided: rec.Record | None, wall_ns: int) -> I
             topic, report = keys.TELEMETRY, report_of(content, time, 0.0)
         case rec.EventPublished():
             topic, report = keys.EVENT, Event(time=time, **content._asdict())
-        case rec.Decision(0, detail, key, source):
-            report = Note(time=time, what="rejected", detail=detail, source=source, key=key)
         case rec.Start(facts=facts):
             detail = ", ".join(f"{name} {fact}" for name, fact in facts.items() if name not in form.STOP_FACTS)
             report = Note(time=time, what="start", detail=detail)
@@ -201,6 +190,16 @@ def _messages(record: rec.Record, decided: rec.Record | None, wall_ns: int) -> I
         case _:
             return
     yield RecordedMessage(topic, report.model_dump(mode="json"), wall_ns)
+
+
+def _outcome(number: int, decided: rec.Record | None) -> tuple[str | None, int | None]:
+    """Return the verdict on a command, and when its step began; None: unknown, or there was no step."""
+    match decided:
+        case rec.Record(_, ns, rec.CommandRecord(after_ns=after_ns, ended=ended)):
+            return dict(ended)[number], None if after_ns == form.NO_STEP else ns + after_ns
+        case rec.Record(_, ns, rec.StepRecord(ended=ended)):
+            return dict(ended)[number], ns
+    return None, None
 
 
 def _time(wall_ns: int) -> datetime:

@@ -40,6 +40,9 @@ FORGED: Final = (ValueError, LookupError, ArithmeticError, TypeError, OSError, s
 
 # ---- records
 
+Outcomes = tuple[tuple[int, str], ...]
+"""The requests that a step has ended: each number, and "accepted", "coalesced" or the reason of the rejection."""
+
 
 class Start(NamedTuple):
     """A gateway starts. `wall_ns`: wall-clock time at this moment."""
@@ -49,7 +52,7 @@ class Start(NamedTuple):
 
 
 class CommandRecord(NamedTuple):
-    """A decoded command; the record's time is its arrival. A Decision with its number follows (0: none does).
+    """A decoded command; the record's time is its arrival. `number`: that of its outcome; 0: its own outcome is here.
 
     Its step of the core came `after_ns` later (NO_STEP: a StepRecord has it, or there was none), `waited_ns`
     after its instant had begun. `lease`: the number of its token, 0: none.
@@ -65,6 +68,7 @@ class CommandRecord(NamedTuple):
     after_ns: int = form.NO_STEP
     waited_ns: int = 0
     lease: int = 0
+    ended: Outcomes = ()
 
 
 class StepRecord(NamedTuple):
@@ -72,6 +76,7 @@ class StepRecord(NamedTuple):
 
     instant_ns: int
     event: dict[str, Any]
+    ended: Outcomes = ()
 
 
 class Keyframe(NamedTuple):
@@ -84,26 +89,13 @@ class Gap(NamedTuple):
     """From here to the next keyframe, events are missing: a source had used up its share."""
 
 
-class Decision(NamedTuple):
-    """The outcome of a command: "accepted", "coalesced", or the reason of its rejection."""
-
-    number: int
-    verdict: str
-    key: str
-    source: str | None
-
-
 class FrameWritten(NamedTuple):
-    """A written frame; the record's time is the end of its transfer. `late_ns`: a watchdog's Stop after its deadline.
-
-    `number`: the command accepted with it, which then has no Decision; 0: none.
-    """
+    """A written frame; the record's time is the end of its transfer. `late_ns`: after a watchdog's deadline."""
 
     data: bytes
     cause: str
     transfer_ns: int
     late_ns: int = 0
-    number: int = 0
 
 
 class EventPublished(NamedTuple):
@@ -118,11 +110,12 @@ class EventPublished(NamedTuple):
 
 
 class Noted(NamedTuple):
-    """What happened to the gateway itself; `what` is end, mode, lag or left_out, as in a Note."""
+    """What happened to the gateway itself; `what` is end, mode, lag, left_out or rejected, as in a Note."""
 
     what: str
     detail: str
     source: str | None = None
+    key: str | None = None
 
 
 class WallTime(NamedTuple):
@@ -145,7 +138,6 @@ Content = (
     | StepRecord
     | Keyframe
     | Gap
-    | Decision
     | FrameWritten
     | EventPublished
     | Noted
@@ -271,15 +263,21 @@ def _contents(slots: Mapping[int, form.Slot], number: int) -> Iterator[tuple[int
         rest += last.rest
     if slot.kind == form.CARRIED_OUT:
         try:
-            ns, transfer_ns, length = form.CARRIED_OUT_HEAD.unpack_from(rest)
-            data, command = (rest := rest[form.CARRIED_OUT_HEAD.size :])[:length], rest[length:]
-            accepted, *_ = form.COMMAND_HEAD.unpack_from(command)
+            ns, transfer_ns, length, number, *of_command, own = form.CARRIED_OUT_HEAD.unpack_from(rest)
         except struct.error:
             return
-        yield form.COMMAND, slot.ns, command
+        data, rest = (rest := rest[form.CARRIED_OUT_HEAD.size :])[:length], rest[length:]
+        frames: list[bytes] = []
         while data:
-            frame, data = data[: data[0] or length], data[data[0] or length :]
-            yield form.FRAME, ns, form.frame(frame, Cause.COMMAND, transfer_ns, 0, 0 if data else accepted)
+            frames.append(data[: data[0] or length])
+            data = data[len(frames[-1]) :]
+        targets = b"".join([frame[2:] for frame in frames])
+        if not own:
+            targets, rest = rest[: len(targets)], rest[len(targets) :]
+        head = form.COMMAND_HEAD.pack(number, *of_command, len(targets) // form.TARGET_BYTES)
+        yield form.COMMAND, slot.ns, head + targets + rest + form.outcomes(((number, form.ACCEPTED),))
+        for frame in frames:
+            yield form.FRAME, ns, form.frame(frame, Cause.COMMAND, transfer_ns)
     elif slot.kind in _READERS:
         yield slot.kind, slot.ns, rest
 
@@ -299,42 +297,50 @@ def _fields(kind: type[C]) -> Callable[[bytes], C]:
 
 
 def _command(rest: bytes) -> CommandRecord:
-    number, sent_ms, *of_step, count = form.COMMAND_HEAD.unpack_from(rest)
+    number, sent_ms, after_ns, waited_ns, lease, count = form.COMMAND_HEAD.unpack_from(rest)
     begin, end = form.COMMAND_HEAD.size, form.COMMAND_HEAD.size + form.TARGET_BYTES * count
     targets = tuple((rest[at], read_op(rest, at + 1)) for at in range(begin, end, form.TARGET_BYTES))
     sent_ms = sent_ms if math.isfinite(sent_ms) else None
-    verb, key, source, source_id = _sender(rest[end:])
-    return CommandRecord(number, verb, key, source, sent_ms, targets, source_id, *of_step)
+    verb, key, source, source_id, end = _sender(rest, end)
+    ended, _ = _outcomes(rest, end)
+    return CommandRecord(number, verb, key, source, sent_ms, targets, source_id, after_ns, waited_ns, lease, ended)
 
 
-def _sender(rest: bytes) -> tuple[str, str, str | None, str | None]:
-    """Return a command's verb, key, source and source_id."""
-    verb, number = form.VERBS[rest[0]], rest[1]
-    *keys, source = _read_texts(rest, 2, 1 + (number == form.OTHER_KEY))
-    end = 2 + sum(1 + len(text.encode()) for text in (*keys, source))
-    if rest[end]:
-        source_id = f"{int.from_bytes(rest[end + 1 : end + 1 + form.ID_BYTES], 'big'):x}"
+def _sender(rest: bytes, begin: int) -> tuple[str, str, str | None, str | None, int]:
+    """Return a command's verb, key, source and source_id, and where they end."""
+    verb, number = form.VERBS[rest[begin]], rest[begin + 1]
+    *keys, source = _read_texts(rest, begin + 2, 1 + (number == form.OTHER_KEY))
+    at = begin + 2 + sum(1 + len(text.encode()) for text in (*keys, source))
+    end = at + 1 + rest[at]
+    if rest[at]:
+        source_id = f"{int.from_bytes(rest[at + 1 : end], 'big'):x}"
     else:
-        (source_id,) = _read_texts(rest, end + 1, 1)
-    return verb, keys[0] if keys else form.KEYS[number], source or source_id or None, source_id or None
+        (source_id,), end = _read_texts(rest, at + 1, 1), at + 2 + rest[at + 1]
+    return verb, keys[0] if keys else form.KEYS[number], source or source_id or None, source_id or None, end
+
+
+def _outcomes(rest: bytes, begin: int) -> tuple[Outcomes, int]:
+    """Return the outcomes that begin here, and where they end."""
+    found, at = list[tuple[int, str]](), begin + 1
+    for _ in range(rest[begin]):
+        (number,), at = form.OUTCOME_HEAD.unpack_from(rest, at), at + form.OUTCOME_HEAD.size
+        found += [(number, _read_texts(rest, at, 1)[0])]
+        at += 1 + rest[at]
+    return tuple(found), at
 
 
 def _step(rest: bytes) -> StepRecord:
-    event = from_json(rest[form.STEP_HEAD.size :])
+    ended, end = _outcomes(rest, form.STEP_HEAD.size)
+    event = from_json(rest[end:])
     if not isinstance(event, dict):
         raise TypeError("an event is an object")
-    return StepRecord(form.STEP_HEAD.unpack_from(rest)[0], event)
-
-
-def _decision(rest: bytes) -> Decision:
-    verdict, key, source = _read_texts(rest, form.DECISION_HEAD.size, 3)
-    return Decision(form.DECISION_HEAD.unpack_from(rest)[0], verdict, key, source or None)
+    return StepRecord(form.STEP_HEAD.unpack_from(rest)[0], event, ended)
 
 
 def _frame(rest: bytes) -> FrameWritten:
-    transfer_ns, late_ns, number, length = form.FRAME_HEAD.unpack_from(rest)
+    transfer_ns, late_ns, length = form.FRAME_HEAD.unpack_from(rest)
     (cause,) = _read_texts(rest, form.FRAME_HEAD.size + length, 1)
-    return FrameWritten(rest[form.FRAME_HEAD.size : form.FRAME_HEAD.size + length], cause, transfer_ns, late_ns, number)
+    return FrameWritten(rest[form.FRAME_HEAD.size : form.FRAME_HEAD.size + length], cause, transfer_ns, late_ns)
 
 
 def _read_texts(rest: bytes, begin: int, count: int) -> list[str]:
@@ -351,7 +357,6 @@ _READERS: Final[dict[int, Callable[[bytes], Content]]] = {
     form.STEP: _step,
     form.KEYFRAME: lambda rest: Keyframe(zlib.decompressobj().decompress(rest, MOST_KEYFRAME)),
     form.GAP: lambda _: Gap(),
-    form.DECISION: _decision,
     form.FRAME: _frame,
     form.CALIBRATION: Calibration.model_validate_json,
     form.MEASURED: measured,

@@ -51,7 +51,7 @@ _CONTAINERS: Final = frozenset({set, frozenset, list, dict})
 _BY_NAME: Final[dict[str, Any]] = {each.__name__: each for each in _CONTAINERS}
 _SHARED: Final = (Request, RobotCalibration)
 """Objects that are compared by identity, or large."""
-_LEFT_OUT: Final = frozenset({"by_leg", "moves", "written", "stopped"})
+_LEFT_OUT: Final = frozenset({"frames", "moves", "written", "stopped"})
 """Fields of a request that follow from others, or are for its answer alone."""
 _CHANGING: Final = ("left", "coalesced")
 """Fields of a command that a step changes: an event is written after its step, and has its first values."""

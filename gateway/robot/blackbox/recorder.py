@@ -4,16 +4,19 @@ A flood must not overwrite the time before an incident. So all sources together 
 the ring has room for (`rings.client_records_a_second`), and one source SHARE of that. Omitted records are counted.
 
 Recording delays no Stop: a step is recorded after all its frames are written, and before its commands are answered. A
-command that one call carries out at once shares a record with its frames.
+step is one record, which has its event and what became of the requests that it ended, and one for each frame. A command
+that one call carries out at once shares its record with its frames.
 """
 
 import logging
 import os
+import struct
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import asdict
 from functools import partial
+from operator import attrgetter
 from pathlib import Path
 from threading import Lock
 from typing import Any, Final
@@ -27,11 +30,12 @@ from gateway.host.directories import state_directory
 from gateway.host.worker import Worker
 from gateway.model import black_box as form
 from gateway.model import elkapod
-from gateway.model.black_box import ACCEPTED, COPIED_SHARE, MOST_COPIES, copies_of, copy_path
+from gateway.model.black_box import ACCEPTED, CARRIED_OUT, COPIED_SHARE, MOST_COPIES, SENT_NOT, copies_of, copy_path
+from gateway.model.black_box import sender as sender_of
 from gateway.model.calibration import RobotCalibration, report_of
 from gateway.model.elkapod import Measured
-from gateway.model.frames import Frame
-from gateway.rate_limit import MOST_SOURCES, RateLimit, RateLimitBySource
+from gateway.model.frames import Frame, bytes_of
+from gateway.rate_limit import MOST_SOURCES, NS_PER_S
 from gateway.robot.blackbox import ring as rings
 from gateway.robot.blackbox.journal import Keyframes, plain_event, token_number
 from gateway.robot.blackbox.ring import RecordRing
@@ -49,7 +53,7 @@ from gateway.robot.core.events import (
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.settings import Settings
 from gateway.robot.spi import Sent
-from schemas.telemetry import Kind, Mode
+from schemas.telemetry import Cause, Kind, Mode
 
 CHUNK: Final = 4096
 """Records copied at a time: half a megabyte of memory."""
@@ -91,21 +95,37 @@ with `plain` framing, half with `length-prefixed`."""
 
 
 class RecordShares:
-    """Admits records of each source, and of all together, up to one second's at once. Counts the omitted ones."""
+    """Admits records of each source, and of all together, up to one second's at once. Counts the omitted ones.
 
-    def __init__(self, a_second: int) -> None:
+    Allowances that are used up begin anew once they are a second old. So a source within its rate lacks no record.
+    """
+
+    def __init__(self, a_second: int) -> None:  # mutants accepted (Step): long ago
         """Admit `a_second` records of all sources."""
-        self._of_all = RateLimit(a_second, a_second)
-        self._of_one = RateLimitBySource(a_second * SHARE, int(a_second * SHARE))
+        self._of_all, self._of_one = a_second, int(a_second * SHARE)
+        self._begun_ns = self._used = 0
+        self._used_by: dict[str | None, int] = {}
         self._omitted = Counter[str | None]()
 
     def admit(self, source: str | None, count: int, now_ns: int) -> bool:
         """Return whether this source's next `count` records may be written. If not, count them."""
-        admitted = self._of_one.admit(source, now_ns, count) is not None and self._of_all.take(now_ns, count)
-        if not admitted:
-            known = source in self._omitted or len(self._omitted) < MOST_SOURCES
-            self._omitted[source if known else None] += count
-        return admitted
+        used = self._used + count
+        of_source = self._used_by.get(source, 0) + count
+        if used > self._of_all or of_source > self._of_one:
+            return self._renewed(source, count, now_ns)
+        self._used = used
+        self._used_by[source] = of_source
+        return True
+
+    def _renewed(self, source: str | None, count: int, now_ns: int) -> bool:
+        """Begin a new second if one is over, and return whether the records are admitted now."""
+        if now_ns - self._begun_ns >= NS_PER_S:
+            self._begun_ns, self._used = now_ns, 0
+            self._used_by.clear()
+            return self.admit(source, count, now_ns)
+        known = source in self._omitted or len(self._omitted) < MOST_SOURCES
+        self._omitted[source if known else None] += count
+        return False
 
     def left_out(self) -> list[tuple[str | None, int]]:
         """Return each source with omitted records since the last call, and their number."""
@@ -146,17 +166,12 @@ FROM_CLIENTS: Final = (Request, EmergencyStop, LeaseRequest, ButtonRequest)
 """Events that clients can cause at any rate."""
 
 
-def _accepted(written: Sequence[Written], decided: Sequence[Result]) -> Request | None:
-    """Return the command that a step's only frame has completed: it needs no Decision."""
-    commands = written[0][0].commands if len(written) == 1 else ()  # mutants accepted (Step): the only one
-    done = [request for request, verdict, _ in decided if verdict == ACCEPTED and commands == (request,)]
-    return done[0] if done else None
+_pack_carried_out: Final = form.CARRIED_OUT_HEAD.pack
+_data_of: Final = attrgetter("data")
 
 
-def _fields(one: Request, after_ns: int, waited_ns: int, lease: int) -> bytes:
-    return form.command(
-        one.number, one.verb, one.key, one.source, one.sent_ms, one.targets, one.source_id, after_ns, waited_ns, lease
-    )
+def _ended(decided: Sequence[Result]) -> list[tuple[int, str]]:
+    return [(request.number, verdict) for request, verdict, _ in decided]
 
 
 class Recorder:
@@ -176,6 +191,8 @@ class Recorder:
         self._shares = RecordShares(rings.client_records_a_second(settings))
         self._waiting: list[tuple[int, int, bytes]] = []
         """Records before the ring is open, for which the first Stops do not wait."""
+        self._append: Callable[[int, int, bytes], None] = self._keep
+        """Writes a record: its type, its time (ns), and its content."""
         self._opening = Lock()
         """Held while the ring is being opened."""
         self._event: Event | None = None
@@ -228,7 +245,7 @@ class Recorder:
             for each in self._waiting:
                 ring.append(*each)
             self._waiting.clear()
-            self._ring = ring
+            self._ring, self._append = ring, ring.append
 
     def close(self) -> None:
         """Close the ring; later records are discarded. Waits OPENING_S at most for one that is being opened."""
@@ -239,6 +256,7 @@ class Recorder:
         if self._ring is not None:
             self._copy(self._ring, self._copied_ns + form.FOLLOW_NS)
             self._worker.close(CLOSE_S)
+            self._append = self._keep  # which keeps nothing any more
             self._ring.close()
             self._ring = None
 
@@ -254,18 +272,38 @@ class Recorder:
 
     def carried_out(self, command: Command, now_ns: int, instant_ns: int, frames: Sequence[Frame], sent: Sent) -> None:
         """Record the step of a command that these frames of one call have completed, as one record."""
+        self._event = command
         if self._folder is None:
             return  # mutants accepted (Forget): nothing is kept all the same
-        self._event = command
-        if self._admit(command, len(frames), now_ns):
-            data, fields = (
-                b"".join([frame.data for frame in frames]),
-                _fields(command, *self._of_step(command, now_ns, instant_ns)),
+        if not self._shares.admit(command.source, len(frames), now_ns):
+            self._lacks(now_ns)
+            return
+        lease, sent_ms = command.lease, command.sent_ms
+        data, targets = b"".join(map(_data_of, frames)), b""
+        if frames is not command.frames:  # they have the servos' own angles
+            targets = bytes_of(command.targets)
+        try:
+            head = _pack_carried_out(
+                sent.ns,
+                sent.call_ns,
+                len(data),
+                command.number,
+                SENT_NOT if sent_ms is None else sent_ms,
+                now_ns - command.received_ns,
+                now_ns - instant_ns,
+                0 if lease is None else token_number(lease),
+                not targets,
             )
-            self._append(form.CARRIED_OUT, command.received_ns, form.carried_out(fields, data, sent.ns, sent.call_ns))
+        except struct.error:  # it waited for more than four seconds
+            self._taken(command, now_ns, instant_ns, ((command.number, ACCEPTED),))
+            for frame in frames:
+                self._append(form.FRAME, sent.ns, form.frame(frame.data, Cause.COMMAND, sent.call_ns))
+            return
+        sender = sender_of(command.verb, command.key, command.source, command.source_id)
+        self._append(CARRIED_OUT, command.received_ns, head + data + targets + sender)
 
     def step(self, taken: Taken, written: Sequence[Written], decided: Sequence[Result]) -> None:
-        """Record a step: its event, its frames, and the outcomes of commands.
+        """Record a step: its event, the requests that it ended, and its frames.
 
         If the sender has used up its share, the step is omitted. Steps that no message causes, such as the watchdog's,
         are always recorded.
@@ -280,55 +318,66 @@ class Recorder:
                 self.carried_out(event, now_ns, instant_ns, [transmit.frame for transmit, _ in written], first)
                 return
         sender = event if isinstance(event, FROM_CLIENTS) else decided[0][0] if decided else None
-        count = len(written) + len(decided) + (not written)  # an accepted command has no Decision
         # mutants accepted (Step): without a command, one source is decided about
-        if sender is not None and not self._admit(sender, count, now_ns):
+        if sender is not None and not self._shares.admit(sender.source, 1 + len(written), now_ns):
+            self._lacks(now_ns)
             return
-        of_step = self._of_step(event, now_ns, instant_ns)
-        if isinstance(event, Request) and not (isinstance(event, Command) and event.lost):
-            self._append(form.COMMAND, event.received_ns, _fields(event, *of_step))
-        accepted = _accepted(written, decided)
-        number = 0 if accepted is None else accepted.number
+        self._taken(event, now_ns, instant_ns, _ended(decided))
         for transmit, sent in written:
             late_ns = 0 if transmit.deadline_ns is None else sent.ns - transmit.deadline_ns
-            fields = form.frame(transmit.frame.data, transmit.cause, sent.call_ns, late_ns, number)
+            fields = form.frame(transmit.frame.data, transmit.cause, sent.call_ns, late_ns)
             self._append(form.FRAME, sent.ns, fields)
-        self._decided([result for result in decided if result[0] is not accepted])
+
+    def _taken(self, event: Event, now_ns: int, instant_ns: int, ended: Sequence[tuple[int, str]]) -> None:
+        """Record an event of a step, and the requests that the step ended."""
+        if isinstance(event, Request) and not (type(event) is Command and event.lost):
+            after_ns, waited_ns = now_ns - event.received_ns, now_ns - instant_ns
+            if (
+                type(event) is Command
+                and event.rejected is None
+                and 0 <= after_ns < form.NO_STEP
+                and 0 <= waited_ns < form.NO_STEP
+            ):
+                token = 0 if event.lease is None else token_number(event.lease)
+                self._command(event, after_ns, waited_ns, token, ended)
+                return
+            self._command(event)
+        self._append(form.STEP, now_ns, form.step(instant_ns, to_json(plain_event(event)), ended))
+
+    def _command(
+        self,
+        one: Request,
+        after_ns: int = form.NO_STEP,
+        waited_ns: int = 0,
+        lease: int = 0,
+        ended: Sequence[tuple[int, str]] = (),
+    ) -> None:
+        of_step = after_ns, waited_ns, lease, ended
+        fields = form.command(
+            one.number, one.verb, one.key, one.source, one.sent_ms, one.targets, one.source_id, *of_step
+        )
+        self._append(form.COMMAND, one.received_ns, fields)
 
     def broke(self, taken: Taken) -> None:
         """Record the event that broke the gateway, unless its step is recorded."""
         if taken[0] is not self._event:
             self.step(taken, (), ())
 
-    def _admit(self, sender: Request | EmergencyStop | LeaseRequest | ButtonRequest, count: int, now_ns: int) -> bool:
-        """Return whether a step with `count` records may be written. If not, the journal has a gap."""
-        admitted = self._shares.admit(sender.source, count, now_ns)
-        if not admitted and not self._gap:
+    def _lacks(self, now_ns: int) -> None:
+        """Record that the journal lacks a step, once for each keyframe."""
+        if not self._gap:
             self._gap = True
             self._append(form.GAP, now_ns, b"")
-        return admitted
 
     def request(self, request: Request | None, decided: Sequence[Result] = ()) -> None:
-        """Record a request that takes no step of its own, and its outcome."""
+        """Record a request that takes no step of its own, and its outcome. None: it could not be read."""
         sender = request or decided[0][0]
-        if self._folder is not None and self._shares.admit(sender.source, 1 + len(decided), self._clock()):
-            if request is not None:
-                self._append(form.COMMAND, request.received_ns, _fields(request, form.NO_STEP, 0, 0))
-            self._decided(decided)
-
-    def _of_step(self, event: Event, now_ns: int, instant_ns: int) -> tuple[int, int, int]:
-        """Return what a command's record contains of its step. Any other event gets a record of its own."""
-        if type(event) is Command and event.rejected is None and not event.lost:
-            after_ns, waited_ns, token = now_ns - event.received_ns, now_ns - instant_ns, event.lease
-            if 0 <= after_ns < form.NO_STEP and 0 <= waited_ns < form.NO_STEP:
-                return after_ns, waited_ns, 0 if token is None else token_number(token)
-        self._append(form.STEP, now_ns, form.STEP_HEAD.pack(instant_ns) + to_json(plain_event(event)))
-        return form.NO_STEP, 0, 0
-
-    def _decided(self, decided: Sequence[Result]) -> None:
-        for request, verdict, _ in decided:
-            fields = form.decision(request.number, verdict, request.key, request.source)
-            self._append(form.DECISION, self._clock(), fields)
+        if self._folder is None or not self._shares.admit(sender.source, 1, now_ns := self._clock()):
+            return
+        if request is not None:
+            self._command(request, ended=_ended(decided))
+        for unread, reason, _ in decided if request is None else ():
+            self._append(form.NOTE, now_ns, form.fields("rejected", reason, unread.source, unread.key))
 
     def mode(self, mode: Mode) -> None:
         """Record a change of the gateway's mode. Emergency stops and resets in turns use up a share."""
@@ -418,8 +467,7 @@ class Recorder:
         self._until_ns = max(self._until_ns, now_ns + form.follow_ns(what))
         return self.incident
 
-    def _append(self, kind: int, ns: int, rest: bytes) -> None:
-        if self._ring is not None:
-            self._ring.append(kind, ns, rest)
-        elif self._folder is not None and len(self._waiting) < MOST_WAITING:
+    def _keep(self, kind: int, ns: int, rest: bytes) -> None:
+        """Keep a record until the ring is open."""
+        if self._folder is not None and len(self._waiting) < MOST_WAITING:
             self._waiting.append((kind, ns, rest))

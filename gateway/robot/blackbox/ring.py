@@ -25,8 +25,8 @@ from gateway.robot.settings import Settings
 from schemas.robot import LEGS
 
 RECORDS_PER_FRAME: Final = 4
-"""A setpoint makes one record, or two if a frame is two transfers. A stream above the rate limit makes twice as many,
-for coalesced commands and their Decisions."""
+"""A setpoint of a leg makes one record, or three if its frame leaves in a later step. A stream above the rate limit
+makes more, for commands that newer ones replace."""
 OTHER_RECORDS_PER_S: Final = 100
 
 RING_S: Final = 60.0
@@ -75,16 +75,13 @@ class RecordRing:
         self.sequence = form.newest(self._map, slots) + 1
         """Number of the next record."""
 
-    def append(self, kind: int, ns: int, rest: bytes) -> None:
-        """Write a record, in several slots if it does not fit in one."""
+    def append(self, kind: int, ns: int, rest: bytes, more: int = 0) -> None:
+        """Write a record, in several slots if it does not fit in one. `more`: the next record continues it."""
         while len(rest) > ROOM:
-            self.put(pack_head(ROOM + HEAD_BYTES, kind, 1, self.sequence, ns) + rest[:ROOM])
+            self.append(kind, ns, rest[:ROOM], 1)
             kind, rest = form.MORE, rest[ROOM:]
-        self.put(pack_head(len(rest) + HEAD_BYTES, kind, 0, self.sequence, ns) + rest)
-
-    def put(self, body: bytes) -> None:
-        """Write a one-slot record. `body` begins with its head, which has the number `sequence`."""
         sequence = self.sequence
+        body = pack_head(len(rest) + HEAD_BYTES, kind, more, sequence, ns) + rest
         pack_slot_into(self._map, HEADER_BYTES + sequence % self._slots * SLOT, crc32(body), body)
         self.sequence = sequence + 1
 

@@ -64,9 +64,10 @@ class Backlog:
 
     def note(self, command: Command, now_ns: int) -> None:
         """Count a command without `sent_ms`: does it arrive alone, or in a clump?"""
-        rules, instant_ns = self._rules, self._legs.instant_ns
+        rules = self._rules
         if not rules.start_wait_ns or not command.moves:
             return
+        instant_ns = self._legs.instant_ns
         stretch = self._stretches.get(command.key)
         if stretch is None or now_ns - stretch.last_ns >= rules.quiet_ns:
             stretch = self._stretches[command.key] = Stretch(now_ns)

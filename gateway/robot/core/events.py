@@ -26,9 +26,12 @@ NOBODY: Final[Sender] = (None, None)
 # ---- what is answered
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(eq=False)
 class Request:
-    """A request: one object from payload to answer. The payload's reader makes it; the state's owner changes it."""
+    """A request: one object from payload to answer. The payload's reader makes it; the state's owner changes it.
+
+    It has no slots: with them, each request would be given the defaults of what few requests have.
+    """
 
     targets: Targets = ()
     _: KW_ONLY
@@ -44,9 +47,9 @@ class Request:
     received_ns: int = 0
     number: int = 0
     """The request's number for supervisor and black box, from 1 on; 0: rejected before the supervisor."""
-    written: tuple[int, ...] = ()
+    written: tuple[int, ...] = field(init=False, default=())
     """The legs with a written frame of the request. If it is rejected afterwards, its answer names them."""
-    stopped: tuple[int, ...] = ()
+    stopped: tuple[int, ...] = field(init=False, default=())
     """Servos that the request stops though it is rejected."""
     moves: Targets = field(init=False, default=())
     """A command's targets that are no Stops."""
@@ -76,7 +79,7 @@ def targets_by_leg(targets: Targets) -> dict[int, Targets]:
 
 
 @final
-@dataclass(slots=True, eq=False, kw_only=True)
+@dataclass(eq=False, kw_only=True)
 class Command(Request):
     """A valid command for servos, and how much of it is still to be written."""
 
@@ -85,18 +88,23 @@ class Command(Request):
     rejected: "Rejected | None" = field(default=None, repr=False)
     """The rejection, if the command was rejected before the supervisor: only its Stops are carried out. The Stops of an
     unreadable message are such a command; its rejection answers another request."""
-    by_leg: dict[int, Targets] = field(default_factory=dict)
-    """The targets of each leg. Without it, they are grouped here."""
+    frames: tuple[Frame, ...] = ()
+    """The frames of a command that only moves servos, by which it may go the usual way; (): it goes the general way."""
     left: int = field(init=False)
     """The number of targets that are not yet written or replaced by a newer command's."""
-    coalesced: bool = False
+    coalesced: bool = field(init=False, default=False)
     """Whether a newer command has replaced one of its targets."""
 
     def __post_init__(self) -> None:
-        if not self.by_leg:
-            self.by_leg = targets_by_leg(self.targets)
         self.left = len(self.targets)
-        self.moves = tuple([target for target in self.targets if target[1].op is not OP_STOP])
+        self.moves = self.targets
+        if not self.frames:
+            self.moves = tuple([target for target in self.targets if target[1].op is not OP_STOP])
+
+    @property
+    def by_leg(self) -> dict[int, Targets]:
+        """The targets of each leg."""
+        return targets_by_leg(self.targets)
 
     @property
     def stops(self) -> Targets:
@@ -109,14 +117,14 @@ class Command(Request):
 
 
 @final
-@dataclass(slots=True, eq=False, kw_only=True)
+@dataclass(eq=False, kw_only=True)
 class Reset(Request):
     """Leaves the emergency stop number `estop`; None: the request has no number."""
 
     estop: int | None = None
 
 
-@dataclass(slots=True, eq=False, kw_only=True)
+@dataclass(eq=False, kw_only=True)
 class Calibrate(Request):
     """Changes the calibration."""
 

@@ -6,12 +6,14 @@ is known elsewhere, too: it has its own rings and threads (`zenoh_io/inbox.py`, 
 """
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
+from itertools import chain
+from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
 from pydantic import ValidationError
 
-from gateway.model.frames import SETS, STARTS, STOP, ServoOp, servo_ids_of
+from gateway.model.frames import SETS, STARTS, STOP, Frame, OneLeg, OneServo, ServoOp, servo_ids_of
 from gateway.robot.core.events import Command, Reset, Targets
 from gateway.robot.core.flat import into_dicts
 from gateway.robot.core.message import Received, Verb
@@ -25,7 +27,7 @@ from gateway.robot.core.rejections import (
     too_large,
 )
 from schemas import keys
-from schemas.command import MAX_PAYLOAD_BYTES, SENDER, SERVO_COMMAND, LegCommand, LegsCommand, ResetCommand
+from schemas.command import MAX_PAYLOAD_BYTES, SENDER, SERVO_COMMAND, LegCommand, LegsCommand, ResetCommand, Sender
 from schemas.keys import CommandKey, Target
 from schemas.robot import JOINTS, LEGS, SERVO_IDS
 from schemas.telemetry import Reason
@@ -40,61 +42,60 @@ _LEG_COMMAND, _LEGS_COMMAND = into_dicts(LegCommand), into_dicts(LegsCommand)
 
 
 def _read_servo(servo_id: int, payload: bytes) -> Command:
-    command = SERVO_COMMAND.validate_json(payload)
-    angle_deg = 0.0 if command.op == "stop" else command.angle_deg
-    op = _OPS[command.op][round(angle_deg * 100)]
-    return Command(((servo_id, op),), source=command.source, sent_ms=command.sent_ms, lease=command.lease)
+    sent = SERVO_COMMAND.validate_json(payload)
+    angle_deg = 0.0 if sent.op == "stop" else sent.angle_deg
+    frame = OneServo(servo_id, _OPS[sent.op][round(angle_deg * 100)])
+    own = (frame,) if frame.moves else ()
+    return Command(frame.servos, frames=own, source=sent.source, sent_ms=sent.sent_ms, lease=sent.lease)
 
 
 def _read_leg(leg: int, payload: bytes) -> Command:
-    command: dict[str, Any] = _LEG_COMMAND.validate_json(payload)
-    return _of_legs({leg: command["servos"]}, command)
+    sent: dict[str, Any] = _LEG_COMMAND.validate_json(payload)
+    frame = OneLeg(leg, [_OPS[each["op"]][round(each.get("angle_deg", 0) * 100)] for each in sent["servos"]])
+    own = (frame,) if frame.moves else ()
+    return Command(frame.servos, frames=own, source=sent["source"], sent_ms=sent["sent_ms"], lease=sent["lease"])
 
 
 def _read_legs(_: int, payload: bytes) -> Command:
-    command: dict[str, Any] = _LEGS_COMMAND.validate_json(payload)
-    return _of_legs({int(leg): of_leg["servos"] for leg, of_leg in sorted(command["legs"].items())}, command)
+    sent: dict[str, Any] = _LEGS_COMMAND.validate_json(payload)
+    frames: list[Frame] = []
+    for leg, of_leg in sorted(sent["legs"].items()):
+        ops = [_OPS[each["op"]][round(each.get("angle_deg", 0) * 100)] for each in of_leg["servos"]]
+        frames.append(OneLeg(int(leg), ops))
+    targets = tuple(chain.from_iterable([frame.servos for frame in frames]))
+    own = tuple(frames) if all(frame.moves for frame in frames) else ()
+    return Command(targets, frames=own, source=sent["source"], sent_ms=sent["sent_ms"], lease=sent["lease"])
 
 
 def _read_reset(_: int, payload: bytes) -> Reset:
-    command = ResetCommand.model_validate_json(payload or b"{}")
-    return Reset(source=command.source, sent_ms=command.sent_ms, lease=command.lease, estop=command.estop)
-
-
-def _of_legs(setpoints: Mapping[int, Iterable[dict[str, Any]]], sent: dict[str, Any]) -> Command:
-    """Return the command for these legs, with angles rounded to hundredths of a degree, as in `centidegrees`."""
-    by_leg: dict[int, Targets] = {}
-    targets: Targets = ()
-    for leg, of_leg in setpoints.items():
-        ops = [_OPS[each["op"]][round(each.get("angle_deg", 0) * 100)] for each in of_leg]
-        by_leg[leg] = tuple(zip(_IDS_OF_LEG[leg], ops, strict=True))
-        targets += by_leg[leg]
-    return Command(targets, by_leg=by_leg, source=sent["source"], sent_ms=sent["sent_ms"], lease=sent["lease"])
+    sent = ResetCommand.model_validate_json(payload or b"{}")
+    return Reset(source=sent.source, sent_ms=sent.sent_ms, lease=sent.lease, estop=sent.estop)
 
 
 # ---- the table
 
 
-class TargetRules(NamedTuple):  # mutants accepted (Step): no fields stand around less than a leg
+class TargetRules(NamedTuple):
     """One target. The number of its keys is the leg, the servo, or 0."""
 
     servos: Mapping[int, tuple[int, ...]]
     """By number: the servos that a message on the key may start, set or stop. A delete and lost messages stop them."""
     read: Callable[[int, bytes], Command | Reset] | None
     """Reads a payload; None: any payload is accepted, and means a Stop."""
-    fields_around: tuple[int, int] = (0, 0)
-    """The number of fields around setpoints: once, and for each leg."""
+    fields: Mapping[int, int] = MappingProxyType({})
+    """By the number of setpoints: how many fields a payload has at most, without angles."""
     explicit_only: str | None = None
     """Set if the key must be named: how a rejected delete or wildcard continues. The sender may not have meant it."""
 
 
+_OF_ALL: Final = len(Sender.model_fields)
 _ALL: Final = {0: SERVO_IDS}
 _OWN: Final = {servo_id: (servo_id,) for servo_id in SERVO_IDS}
 
 TARGETS: Final[dict[Target, TargetRules]] = {
-    Target.LEGS: TargetRules(_ALL, _read_legs, (1, 2)),
-    Target.LEG: TargetRules(_IDS_OF_LEG, _read_leg, (1, 0)),
-    Target.SERVO: TargetRules(_OWN, _read_servo),
+    Target.LEGS: TargetRules(_ALL, _read_legs, {3 * legs: _OF_ALL + 1 + 5 * legs for legs in LEGS}),
+    Target.LEG: TargetRules(_IDS_OF_LEG, _read_leg, {3: _OF_ALL + 1 + 3}),
+    Target.SERVO: TargetRules(_OWN, _read_servo, {1: _OF_ALL + 1}),
     Target.ESTOP: TargetRules(_ALL, None),
     Target.RESET: TargetRules({0: ()}, _read_reset, explicit_only=f"does not reset; put {{}} on {keys.RESET}"),
 }
@@ -134,9 +135,9 @@ loop for 1.4 ms."""
 _DELETE: Final = Verb.DELETE  # see `frames.OP_STOP`
 
 
-def read(received: Received) -> Command | Reset | Rejection:
+def read(received: Received) -> Command | Reset | Rejection:  # noqa: PLR0911, PLR0912  (one row a case)
     """Return the request in a message, or a Rejection with the reason. Never raises."""
-    key = received.target
+    key, payload = received.target, received.payload
     if key is None:
         try:
             keys.parse(echo_of(received.expression))
@@ -149,12 +150,33 @@ def read(received: Received) -> Command | Reset | Rejection:
         is_wildcard = received.expression != received.key
         if deletes or is_wildcard:
             return Rejection(Reason.INVALID, f"a {'wildcard' if is_wildcard else 'delete'} {row.explicit_only}")
-    found = Command(stops_of(key)) if deletes else _decoded(row, key.number, received)
-    if type(found) is not Rejection:
-        found.key, found.verb, found.reply = received.key, received.verb, received.reply
-        found.received_ns, found.source_id = received.received_ns, received.source
-        found.source = found.source or received.source
-    return found
+    if deletes or row.read is None:
+        command: Command | Reset = Command(stops_of(key) if deletes else ())
+    elif received.size > MAX_PAYLOAD_BYTES:
+        return too_large(received.size)
+    elif received.encoding not in ENCODINGS and not is_json(received.encoding):
+        return BAD_ENCODING
+    elif (colons := payload.count(b":")) > MAX_COLONS:
+        return TOO_MANY_FIELDS
+    else:
+        try:
+            command = row.read(key.number, payload)
+        except ValidationError as error:
+            return explain(error)
+        # Each field has a colon. A setpoint with no more colons than fields has no name twice and is read only once.
+        if type(command) is Command:
+            colons += (command.source, command.sent_ms, command.lease).count(None) - row.fields[command.left]
+            colons -= len(command.moves)  # a Stop has no angle
+        if colons > 0 and (rejection := name_given_twice(payload)) is not None:
+            return rejection
+    command.key = received.key
+    command.verb = received.verb
+    command.reply = received.reply
+    command.received_ns = received.received_ns
+    command.source_id = received.source
+    if command.source is None:
+        command.source = received.source
+    return command
 
 
 def _may_contain_stop(payload: bytes) -> bool:  # mutants accepted (Step): a shortcut: what follows finds the same
@@ -189,29 +211,6 @@ def words_of_stop(received: Received) -> bytes | None:
 def is_json(encoding: str) -> bool:
     """Return whether an encoding is JSON: `application/json` or `application/*+json` with any parameters, or none."""
     return encoding in ENCODINGS or _JSON.fullmatch(encoding) is not None
-
-
-def _decoded(row: TargetRules, number: int, received: Received) -> Command | Reset | Rejection:
-    if row.read is None:
-        return Command()
-    if received.size > MAX_PAYLOAD_BYTES:
-        return too_large(received.size)
-    if received.encoding not in ENCODINGS and not is_json(received.encoding):
-        return BAD_ENCODING
-    payload = received.payload
-    colons = payload.count(b":")
-    if colons > MAX_COLONS:
-        return TOO_MANY_FIELDS
-    try:
-        command = row.read(number, payload)
-    except ValidationError as error:
-        return explain(error)
-    # Each field has a colon. A setpoint with no more colons than fields has no name twice and is read only once.
-    if type(command) is Command:
-        once, each_leg = row.fields_around
-        colons -= (command.source is not None) + (command.sent_ms is not None) + (command.lease is not None)
-        colons -= once + each_leg * len(command.by_leg) + command.left + len(command.moves)  # a Stop has no angle
-    return command if colons <= 0 else name_given_twice(payload) or command
 
 
 def named_source(payload: bytes) -> str | None:

@@ -22,16 +22,17 @@ class Leg:  # mutants accepted (FalseWithTrue, Step, TrueWithFalse): set before 
     """Who sent the latest accepted command; NOBODY once the gateway itself has stopped the leg."""
     unfed_ns: int | None = None
     """When one of its starts began to wait for power, or None; as of the last `Legs.plan`."""
-    steady: bool | None = None
-    """Whether its sender's next angles need no rule but limits and rate slots; None: not known since `Legs.plan`."""
+    steady_for: Sender | None = None
+    """The sender whose next angles need no rule but limits and rate slots; None: not known since `Legs.plan`."""
 
-    def is_steady(self) -> bool:
-        """Return whether all its servos run for its sender, at any speed, and none has a way to go."""
-        sender = self.sender
-        return all(
+    def is_steady_for(self, sender: Sender) -> bool:
+        """Return whether all its servos run for this sender, at any speed, and none has a way to go."""
+        steady = self.sender == sender and all(
             each.life is RUNNING and each.target is None and each.pace_cdeg_s is None and each.sender == sender
             for each in self.servos
         )
+        self.steady_for = sender if steady else None
+        return steady
 
     @property
     def runs(self) -> bool:

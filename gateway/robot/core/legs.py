@@ -107,7 +107,7 @@ class Legs:
         """End a step: compute what is due next, and whether anything runs."""
         due_ns, runs, rests = NEVER, False, False
         for leg in self._all:
-            leg.steady = None
+            leg.steady_for = None
             one, two, three = leg.servos
             lives = (one.life, two.life, three.life)
             if RUNNING in lives or WAITING in lives:
@@ -174,7 +174,7 @@ class Legs:
             return [rejected]
         effects: list[Effect] = []
         if write:
-            stops = replace(command, targets=command.stops, by_leg={})
+            stops = replace(command, targets=command.stops, frames=())
             stops.left += 1  # so that it is never completed: it is rejected
             effects = self.apply(stops, now_ns)
         rejected.request.stopped = tuple(servo_id for servo_id, _ in command.stops)
@@ -246,34 +246,6 @@ class Legs:
             self._pace.take_over(leg, servo)
         servo.take(op, command)
         return effects
-
-    def usual(self, command: Command, now_ns: int) -> list[Frame] | None:
-        """Carry out what most commands ask: running servos go on, within limits and rate slots, and nothing waits.
-
-        Return the frames, which complete the command. The frames, and the state after them, are those of `apply` and
-        `plan`, but for `due_ns`, which may be early. Return None, and change nothing, if it is not such a command.
-        """
-        sender, limits, by_number, servos = command.sender, self.limits, self.by_number, self.servos
-        for number, targets in command.by_leg.items():
-            leg = by_number[number]
-            if leg.steady is None:
-                leg.steady = leg.is_steady()
-            if not leg.steady or leg.sender != sender or now_ns < leg.slots.next_ns or len(targets) == 2:
-                return None
-        for servo_id, op in command.targets if limits.limited else ():
-            low_cdeg, high_cdeg = limits.free_cdeg[servo_id]
-            if not low_cdeg <= op.angle_cdeg <= high_cdeg:
-                return None
-        command.left = 0
-        frames: list[Frame] = []
-        for number, targets in command.by_leg.items():
-            leg = by_number[number]
-            leg.commanded_ns = now_ns
-            leg.slots.take(now_ns)
-            for servo_id, op in targets:
-                servos[servo_id].moved(op, now_ns)
-            frames.append(frame_of(targets))
-        return frames if limits.wire is None else list(map(limits.wire.frame, frames))
 
     # ---- frames that move
 

@@ -226,27 +226,41 @@ class Supervisor:
             return 0
         return NEVER if self.due_ns is None else self.due_ns
 
-    def usual(self, command: Command, now_ns: int, instant_ns: int) -> list[Frame] | None:
-        """Take a command that moves running servos, and meets no rule. Return None, and change nothing, if it may.
+    def usual(self, command: Command, now_ns: int, instant_ns: int) -> tuple[Frame, ...] | None:
+        """Take what most commands ask: running servos move on, within limits and rate slots, and no rule is due.
 
-        The frames complete the command. Neither the mode, the emergency stop nor `due_ns` changes. The general way does
-        the same (`unit/robot/test_supervisor_machine.py` compares them).
+        Return the frames, which complete the command. They, and the state after them, are those of the general way, but
+        for `due_ns`, which may be early (`unit/robot/test_supervisor_machine.py` compares them). Neither the mode, the
+        emergency stop nor `due_ns` changes. Return None, and change nothing, if it is not such a command.
         """
-        lease, token, legs = self.lease, command.lease, self.legs
-        if now_ns >= self.usual_ns or instant_ns == legs.stopped_ns or command.rejected is not None:
-            return None
-        if not command.moves or command.moves != command.targets:
+        frames, token = command.frames, command.lease
+        lease, legs = self.lease, self.legs
+        if not frames or now_ns >= self.usual_ns or instant_ns == legs.stopped_ns or command.rejected is not None:
             return None
         if (lease.closed or token is not None) and lease.why_not(command) is not None:
             return None
-        frames = legs.usual(command, now_ns)
-        if frames is not None:
-            legs.instant_ns = instant_ns
-            if token is not None:
-                lease.record_use(token, now_ns)
-            if command.sent_ms is None:
-                self.backlog.note(command, now_ns)
-        return frames
+        sender = command.source, command.source_id
+        by_number, limits = legs.by_number, legs.limits
+        for frame in frames:
+            leg = by_number[frame.leg]
+            if now_ns < leg.slots.next_ns or (leg.steady_for != sender and not leg.is_steady_for(sender)):
+                return None
+        if limits.limited and not limits.are_free(command.targets):
+            return None
+        servos = legs.servos
+        for frame in frames:
+            leg = by_number[frame.leg]
+            leg.commanded_ns = now_ns
+            leg.slots.take(now_ns)
+            for servo_id, op in frame.servos:
+                servos[servo_id].moved(op, now_ns)
+        command.left = 0
+        legs.instant_ns = instant_ns
+        if token is not None:
+            lease.record_use(token, now_ns)
+        if command.sent_ms is None:
+            self.backlog.note(command, now_ns)
+        return frames if limits.wire is None else tuple(map(limits.wire.frame, frames))
 
     def _mode_now(self) -> Mode:
         if self._ended:

@@ -149,19 +149,20 @@ class Conductor:
         """
         if self.closed:
             return
-        messages, instant_ns, taken = self.messages, self._instant(), False
+        messages, received = self.messages, None
+        if not messages.instant_open:
+            self._instant_ns = self.clock()
+        instant_ns = self._instant_ns
         for received in messages.take():
             if messages.estops:
                 self._serve_estops(instant_ns)
             self._receive(received, instant_ns)
             self._do_what_is_due(instant_ns)  # a full tick takes long enough for a deadline to pass in it
-            taken = True
-        self.metrics.passed_over = messages.passed_over
         if messages.estops:
             self._serve_estops(instant_ns)
         if self._lost_key:
             self._stop_what_lost_stops_named(instant_ns)
-        if not taken:
+        if received is None:
             self._do_what_is_due(instant_ns)
 
     def _wake(self) -> None:
@@ -173,12 +174,9 @@ class Conductor:
     def serve_estops(self) -> None:
         """Carry out emergency stops without a tick. Messages that wait in the rings belong to a later instant."""
         if not self.closed and self.messages.estops:
-            self._serve_estops(self._instant())
-
-    def _instant(self) -> int:
-        if not self.messages.instant_open:
-            self._instant_ns = self.clock()
-        return self._instant_ns
+            if not self.messages.instant_open:
+                self._instant_ns = self.clock()
+            self._serve_estops(self._instant_ns)
 
     def _serve_estops(self, instant_ns: int) -> None:
         while self.messages.estops:
@@ -187,6 +185,7 @@ class Conductor:
     def record_alive(self) -> int:
         """Return now (ns) and record that the process runs. Call it ten times a second: a gap shows that it did not."""
         now_ns = self.clock()
+        self.metrics.passed_over = self.messages.passed_over
         if self._staleness is not None:
             self._staleness.record_alive(now_ns)
         return now_ns
@@ -271,7 +270,8 @@ class Conductor:
             self._reject_unread(received, command, instant_ns)
             return
         now_ns = self.clock()
-        too_old = self.too_old(command, now_ns, instant_ns)
+        judge = self._staleness
+        too_old = None if judge is None else judge.too_old(command.source, command.sent_ms, now_ns, instant_ns)
         if too_old is not None and not command.only_stops:  # a late Stop does no harm
             if type(command) is not Command or not command.stops:
                 self.executor.reject(command, Reason.STALE, too_old, command)
@@ -279,8 +279,7 @@ class Conductor:
             command.rejected = Rejected(command, Reason.STALE, too_old)
         command.number = next(self.numbers)
         try:
-            usual = self.supervisor.usual
-            if type(command) is Command and (frames := usual(command, now_ns, instant_ns)) is not None:
+            if type(command) is Command and (frames := self.supervisor.usual(command, now_ns, instant_ns)) is not None:
                 outcome = self.executor.carry_out_usual(frames, command, now_ns, instant_ns)
                 if outcome is not None:
                     self._after_fault(outcome)

@@ -189,15 +189,17 @@ class Executor:
         """Do what `carry_out` does with the frames of `Supervisor.usual`. Return None if nothing is left to do."""
         if self._follows or self.halts:
             return self.carry_out(moves_of(command, frames), (command, now_ns, instant_ns))
-        report, reports = self.bus.write(frames), self.reports
+        report = self.bus.write(frames)
         if report.fault is not None or report.meddled is not None or report.rejection is not None:
             outcome = Outcome(moves := moves_of(command, frames))
             self._record(moves, report, outcome)
             self._judge(outcome)
             self._end_all(outcome, (command, now_ns, instant_ns))
             return outcome
-        reports.metrics.frames[_COMMAND] += len(frames)
-        reports.metrics.accepted += 1
+        reports = self.reports
+        metrics = reports.metrics
+        metrics.frames[_COMMAND] += len(frames)
+        metrics.accepted += 1
         reports.recorder.carried_out(command, now_ns, instant_ns, frames, report.sent[0])
         if command.reply is not None:
             self.answer(command, Ack(accepted=True))
@@ -223,13 +225,13 @@ class Executor:
     def _record(self, batch: Sequence[Transmit], report: BatchReport, outcome: Outcome) -> None:
         """Count the frames that were written, and add the batch's report to the outcome."""
         for sent in report.sent:
-            transmit = batch[sent.place]
-            outcome.written += [(transmit, sent)]
-            self.reports.metrics.frames[transmit.cause] += 1
-            for command in transmit.commands:
-                command.written += (transmit.frame.leg,)
-            if transmit.deadline_ns is not None and sent.received:
-                self.reports.metrics.watchdog_stops.record(sent.ns - transmit.deadline_ns)
+            for transmit in batch[sent.first : sent.first + sent.frames]:
+                outcome.written += [(transmit, sent)]
+                self.reports.metrics.frames[transmit.cause] += 1
+                for command in transmit.commands:
+                    command.written += (transmit.frame.leg,)
+                if transmit.deadline_ns is not None and sent.received:
+                    self.reports.metrics.watchdog_stops.record(sent.ns - transmit.deadline_ns)
         if report.rejection is not None:
             logger.warning("%s; from now on, each transfer is a separate call", report.rejection)
         outcome.meddled = report.meddled or outcome.meddled

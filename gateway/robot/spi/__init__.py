@@ -8,7 +8,7 @@ stops as a whole (`Rules.starts_whole`).
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from gateway.errors import ControllerSilentError, SpiError
 from gateway.model.elkapod import Measured
@@ -63,22 +63,26 @@ class DuplexDevice(OpenDevice):
         """Write `data` and return the bytes that came back. Raises SpiError: any part may have been written."""
 
 
-@dataclass(slots=True)
-class Sent:
-    """A frame that was written, or is queued for the next cycle."""
+class Sent(NamedTuple):
+    """Frames of one call that were written, or are queued for the next cycle."""
 
-    place: int
-    """The frame's index in the batch."""
+    first: int
+    """The first frame's index in the batch."""
+    frames: int
+    """How many frames."""
     ns: int
-    """When its call ended: by then its last bit had left, or a UART's message was with the kernel."""
+    """When the call ended: by then its last bit had left, or a UART's message was with the kernel."""
     call_ns: int
     received: bool
-    """False if the frame counts as failed, since the zeros before it failed."""
+    """False if the frames count as failed, since the zeros before them failed."""
+
+    @property
+    def places(self) -> range:
+        """The frames' indices in the batch."""
+        return range(self.first, self.first + self.frames)
 
 
-@dataclass(slots=True)
 class BatchReport:
-    sent: list[Sent] = field(default_factory=list)
     fault: SpiError | None = None
     """The first failure."""
     rejection: str | None = None
@@ -86,6 +90,9 @@ class BatchReport:
     meddled: str | None = None
     """Another program's changes to the device, undone before this batch. Handle them as a fault, since earlier frames
     may have arrived damaged."""
+
+    def __init__(self) -> None:
+        self.sent: list[Sent] = []
 
 
 class Wire(ABC):

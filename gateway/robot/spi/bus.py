@@ -20,7 +20,9 @@ and openings which legs are not stopped yet, and what the controller may await.
 
 import time
 from collections.abc import Callable, Sequence
+from itertools import repeat
 from math import ceil
+from operator import attrgetter
 from typing import Final
 
 from gateway.errors import BatchRejectedError, SpiError
@@ -64,6 +66,7 @@ STALLED_NS: Final = 900_000_000
 STALE_NS: Final = 500_000_000
 """Half of the 1000 ms after which the controller gives up a frame. The other half allows for delays between reading the
 clock and the first bit on the wire."""
+_data_of: Final = attrgetter("data")
 
 
 class Bus(Wire):
@@ -97,8 +100,8 @@ class Bus(Wire):
         self._most_moves = (LONGEST_NS + gap_ns) // (frame_ns + gap_ns)
         self._device: SpiDevice | None = None
         # mutants accepted (Forget, Step): opening sets them
-        self._most = self._stops_at_once = self._moves_at_once = 1
-        """The most transfers of a call, the most Stops, and the most frames that move."""
+        self._most = self._stops_at_once = self._moves_at_once = self._plain_at_once = 1
+        """The most transfers of a call, the most Stops, the most frames that move, and those without announcements."""
         self._lists = True  # until the kernel rejects one
         self._awaited = ANYTHING if self.announces else NOTHING
         # mutants accepted (FalseWithTrue, Forget): opening sets it
@@ -121,6 +124,7 @@ class Bus(Wire):
         self._most = self._device.most_transfers
         self._stops_at_once = max(1, self._most // self._size)
         self._moves_at_once = max(1, min(self._stops_at_once, self._most_moves))
+        self._plain_at_once = 0 if self.announces else self._moves_at_once
 
     # mutants accepted (Step): all stop, or none; nobody gives 1
     def write(self, frames: Sequence[Frame], *, preamble: bool = False) -> BatchReport:
@@ -129,7 +133,8 @@ class Bus(Wire):
         After a fault the device stays open, and failed Stops are tried one by one before this returns. While calls fail
         slowly, further Stops are written one by one, too, since a batch after a preamble would hardly ever pass.
         """
-        report, stops, now_ns = BatchReport(), frames[0].is_stop, self._clock()
+        report, stops = BatchReport(), frames[0].is_stop
+        now_ns = self._clock()
         if self._device is None:
             self.errors += 1
             report.fault = SpiError("the SPI device is closed")
@@ -143,10 +148,10 @@ class Bus(Wire):
             self._write_stops(frames, report, now_ns, preamble=preamble)
         else:
             try:
-                if self.announces or len(frames) > self._moves_at_once:
-                    self._write_batches(frames, report, now_ns, stops=False, preamble=preamble)
+                if len(frames) <= self._plain_at_once:
+                    self._write_plain(frames, report)
                 else:
-                    self._call(report, 0, frames)
+                    self._write_batches(frames, report, now_ns, stops=False, preamble=preamble)
             except SpiError as fault:
                 report.fault = fault
         if report.fault is not None:
@@ -233,31 +238,34 @@ class Bus(Wire):
     # mutants accepted (LtE_Lt, Lt_LtE, Step, Sub_Add): equal times; longer than a stall either way
     def _call(self, report: BatchReport, zeros: int, frames: Sequence[Frame] = (), first: int = 0) -> None:
         """Write zeros, then these frames, in one call. `first` is the first frame's place. Raises SpiError."""
-        gap_us, announces, received = self._gap_us, self.announces, True
-        batch, zeros_before = [self._zero] * zeros, self._zeros + zeros
-        for frame in frames:
-            if announces:
-                batch.append((frame.data[:1], gap_us))
-            batch.append((frame.data, gap_us))
-        if announces and frames:
-            self._zeros = 0  # failed zeros are not counted; if they arrived, more do no harm
-        check(batch, self._avoid_cdeg, announces=announces)
-        took_ns = self._transfer(batch, report)
-        if announces:
-            if self._awaited != NOTHING:
-                received = max(self._awaited) <= zeros
-                self._awaited = after(self._awaited, b"".join(each for each, _ in batch))
-            if zeros and zeros_before >= PREAMBLE_ZEROS:
-                self._synchronised_ns, self._suspect = self._ended_ns, False
-            if not frames:
-                self._zeros = zeros_before
-        self._failures = 0
-        for place, _ in enumerate(frames, first):
-            report.sent.append(Sent(place, self._ended_ns, took_ns, received))
-        self.frames += len(frames)
+        if self.announces:
+            self._write_announced(report, zeros, frames, first)
+        else:
+            self._write_plain(frames, report, first)
 
-    def _transfer(self, batch: Batch, report: BatchReport) -> int:
-        """Write a checked batch. Return how long that took (ns). Raises SpiError."""
+    def _write_plain(self, frames: Sequence[Frame], report: BatchReport, first: int = 0) -> None:
+        batch = list(zip(map(_data_of, frames), repeat(self._gap_us), strict=False))
+        self._transfer(batch, report, frames, first, True)
+
+    def _write_announced(self, report: BatchReport, zeros: int, frames: Sequence[Frame], first: int) -> None:
+        gap_us, awaited, zeros_before = self._gap_us, self._awaited, self._zeros + zeros
+        batch = [self._zero] * zeros
+        for frame in frames:
+            batch += [(frame.data[:1], gap_us), (frame.data, gap_us)]
+        if frames:
+            self._zeros = 0  # failed zeros are not counted; if they arrived, more do no harm
+        received = awaited == NOTHING or max(awaited) <= zeros
+        self._transfer(batch, report, frames, first, received)
+        if awaited != NOTHING:
+            self._awaited = after(awaited, b"".join(each for each, _ in batch))
+        if zeros and zeros_before >= PREAMBLE_ZEROS:
+            self._synchronised_ns, self._suspect = self._ended_ns, False
+        if not frames:
+            self._zeros = zeros_before
+
+    def _transfer(self, batch: Batch, report: BatchReport, frames: Sequence[Frame], first: int, received: bool) -> None:
+        """Check a batch, write it, and report its frames as sent. Raises SpiError, and IllegalTransferError."""
+        check(batch, self._avoid_cdeg, announces=self.announces)
         write = self._device.transfer if self._lists and self._device is not None else self._write_singly
         begun_ns = self._clock()
         try:
@@ -272,13 +280,16 @@ class Bus(Wire):
             self._failed(batch, self._clock() - begun_ns)
             raise
         finally:
-            self._ended_ns = self._clock()
-            took_ns = self._ended_ns - begun_ns
+            self._ended_ns = ended_ns = self._clock()
+            took_ns = ended_ns - begun_ns
             self.transfer_latency.record(took_ns)
         if took_ns >= STALLED_NS:
             self._failed(batch, took_ns)
             raise SpiError(f"the SPI device took {took_ns / 1e9:.1f} s for a call of milliseconds")
-        return took_ns
+        self._failures = 0
+        self.frames += len(frames)
+        if frames:
+            report.sent.append(Sent(first, len(frames), ended_ns, took_ns, received))
 
     def _write_singly(self, batch: Batch) -> None:
         """Write a batch in one call for each transfer, for a kernel that takes no lists, and sleep the pauses.
@@ -310,7 +321,7 @@ class Bus(Wire):
 
         The report gets the first failure.
         """
-        written = {sent.place for sent in report.sent}
+        written = {place for sent in report.sent for place in sent.places}
         # The transfers before the failed one have most likely arrived, so the last Stops come first; but before them,
         # legs without a Stop from an earlier call.
         left = [place for place in reversed(range(len(frames))) if place not in written]

@@ -97,7 +97,7 @@ class CyclicBus(Wire):
     # mutants accepted (FalseWithTrue, Step): all stop, or none; no preamble is needed
     def write(self, frames: Sequence[Frame], *, preamble: bool = False) -> BatchReport:  # noqa: ARG002
         """Send a Stop over the UART, or take targets for the next frame. Return what was sent."""
-        begun_ns, stops = self._clock(), frames[0].is_stop
+        report, begun_ns, stops = BatchReport(), self._clock(), frames[0].is_stop
         try:
             if self._device is None and not stops:
                 raise SpiError("the SPI device is closed")
@@ -107,9 +107,11 @@ class CyclicBus(Wire):
                 self._say(message)
         except SpiError as fault:
             self.errors += 1
-            return BatchReport(fault=fault)
+            report.fault = fault
+            return report
         now_ns = self._clock()
-        return BatchReport([Sent(place, now_ns, now_ns - begun_ns, received=True) for place in range(len(frames))])
+        report.sent.append(Sent(0, len(frames), now_ns, now_ns - begun_ns, received=True))
+        return report
 
     @property
     def controller_alive(self) -> bool | None:

@@ -108,7 +108,7 @@ def stop_once(bus: Wire, *, opened: bool = False) -> tuple[set[int], Exception |
         except Exception as error:
             fault = error
             continue
-        stopped |= {legs[sent.place] for sent in report.sent if sent.received}
+        stopped |= {legs[place] for sent in report.sent if sent.received for place in sent.places}
         if report.fault is not None:
             fault, opened = report.fault, False
     return stopped, fault

@@ -1,6 +1,7 @@
 """Commands that were delayed: bursts after a stall, drifting clocks, restarts, many sources."""
 
 import asyncio
+import math
 import re
 
 import pytest
@@ -45,17 +46,12 @@ class Publisher:
         return [self.arrives(sent_ms + delay_ms, sent_at_ms=sent_ms) is not None for sent_ms in times]
 
 
-class NeverStopped(Staleness):
-    """The loop turned all the time, also between the commands of a test."""
-
-    def record_alive(self, now_ns: int) -> float:
-        """Notice nothing."""
-        return now_ns / 1e6
-
-
 @pytest.fixture
 def staleness() -> Staleness:
-    return NeverStopped(MAX_AGE_MS)
+    """The loop turned all the time, also between the commands of a test."""
+    found = Staleness(MAX_AGE_MS)
+    found._pause_ms = math.inf
+    return found
 
 
 @pytest.fixture

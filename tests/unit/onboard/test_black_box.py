@@ -115,7 +115,7 @@ FORGED: list[tuple[int, bytes]] = [
     (form.INCIDENT, form.fields(2**70, NAME)),
     (form.START, form.fields(-(2**70), {})),
     (form.EVENT, form.fields("no_kind", None, None, None, "", 0)),
-    (form.FRAME, form.frame(b"\xff" * 8, "no cause", 2**40, 2**40, 7)),
+    (form.FRAME, form.frame(b"\xff" * 8, "no cause", 2**40, 2**40)),
     (form.NOTE, form.fields("mode", "1" * 90)),
 ]
 

@@ -187,7 +187,7 @@ async def test_what_cannot_be_played_has_a_sentence_and_the_rest_is_played(folde
     unknown = compress(b'{"format":99}')
     for kind, count, rest, played_in_part, sentence in (
         (form.CARRIED_OUT, 1500, None, True, "the records that followed are overwritten or damaged"),
-        (form.STEP, 5, b"\0" * 8 + b'{"Dream":{}}', True, "it has a Dream, which this version does not know"),
+        (form.STEP, 5, b"\0" * 9 + b'{"Dream":{}}', True, "it has a Dream, which this version does not know"),
         (form.KEYFRAME, 0, None, False, "the black box has no state from before it"),
         (form.KEYFRAME, 0, unknown, False, "its format is 99, and this version reads 1"),
     ):

@@ -96,7 +96,7 @@ async def test_a_run_that_fails_at_once_has_its_end(folder: Path, monkeypatch: p
     assert contents(folder)[-1] == rec.Noted("end", "the port is taken")
 
 
-async def test_what_waits_or_is_rejected_has_its_decision_too(folder: Path) -> None:
+async def test_what_waits_or_is_rejected_has_its_outcome_too(folder: Path) -> None:
     robot = recorded(folder)
     for angle in (90, 91, 92):
         robot.put(LEG_3, leg("start", angle, angle, angle))
@@ -104,14 +104,21 @@ async def test_what_waits_or_is_rejected_has_its_decision_too(folder: Path) -> N
     robot.put(LEG_3, leg("start", 1, 1, 1, source="slow", sent_ms=1))
     await asyncio.sleep(0.7)
     robot.put(LEG_3, leg("start", 1, 1, 1, source="slow", sent_ms=2))
-    found = contents(folder, rec.Decision, rec.FrameWritten)
+    found = contents(folder, rec.CommandRecord, rec.StepRecord, rec.Noted)
     verdicts = [
-        (each.number, each.verdict if isinstance(each, rec.Decision) else "accepted")
-        for each in found
-        if isinstance(each, rec.Decision) or each.number
+        each
+        for content in found
+        for each in ([(content.what, content.detail)] if isinstance(content, rec.Noted) else content.ended)
+        if each[0] != "mode"
     ]
-    assert verdicts[:4] == [(1, "accepted"), (2, "coalesced"), (0, "malformed"), (3, "coalesced")]
-    assert verdicts[-1] == (0, "stale")
+    assert verdicts[-6:] == [
+        (1, "accepted"),
+        (2, "coalesced"),
+        ("rejected", "malformed"),
+        (3, "coalesced"),
+        (4, "accepted"),
+        (0, "stale"),
+    ]
     last = contents(folder, rec.CommandRecord)[-1]
     assert (last.number, last.source, last.sent_ms) == (0, "slow", 2.0), "a stale one is decoded as well"
 
@@ -150,7 +157,8 @@ async def test_a_setpoint_is_one_record(folder: Path, framing: Framing) -> None:
         assert isinstance(frame.content, rec.FrameWritten)
         assert decode(frame.content.data).servos == command.content.targets
         assert frame.ns > command.ns
-        assert (frame.content.number, frame.content.cause) == (command.content.number, Cause.COMMAND)
+        assert frame.content.cause == Cause.COMMAND
+        assert command.content.ended == ((command.content.number, "accepted"),)
 
 
 @pytest.mark.parametrize("op", ["set", "stop"])
@@ -174,7 +182,7 @@ async def test_what_one_call_carries_out_is_one_record(folder: Path, op: str) ->
     assert isinstance(command, rec.CommandRecord)
     written = [each for each in frames if isinstance(each, rec.FrameWritten)]
     assert sum((decode(each.data).servos for each in written), ()) == command.targets
-    assert [each.number for each in written] == [0, 0, 0, 0, 0, command.number]
+    assert command.ended == ((command.number, "accepted"),)
     assert {record.ns for record in records if isinstance(record.content, rec.FrameWritten)} == {
         robot.controller.transfers[-1][0]
     }
@@ -191,7 +199,8 @@ async def test_what_does_not_fit_into_one_record_has_two(folder: Path) -> None:
     found = [each for each in contents(folder)[before:] if not isinstance(each, rec.Noted | rec.StepRecord)]
     assert [type(each) for each in found] == [rec.CommandRecord, rec.FrameWritten] * 3
     assert found[0].source == "ä" * 64
-    assert [frame.number for frame in found[1::2]] == [1, 2, 3]
+    steps = contents(folder, rec.CommandRecord, rec.StepRecord)
+    assert [each.ended for each in steps if each.ended] == [((number, "accepted"),) for number in (1, 2, 3)]
 
 
 async def test_what_waited_and_is_carried_out_in_anothers_step_keeps_its_own_targets(folder: Path) -> None:
@@ -207,9 +216,11 @@ async def test_what_waited_and_is_carried_out_in_anothers_step_keeps_its_own_tar
     assert [(each.key, each.targets[0][1].angle_cdeg) for each in commands.values()] == [
         (LEG_3, 90_00), (LEG_3, 91_00), (leg_4, 10_00), (leg_4, 11_00),
     ]  # fmt: skip
-    accepted = [frame for frame in contents(folder, rec.FrameWritten) if frame.number]
-    assert [frame.number for frame in accepted] == [1, 3, 2]
-    assert all(decode(frame.data).servos == commands[frame.number].targets for frame in accepted)
+    found = contents(folder, rec.CommandRecord, rec.StepRecord)
+    accepted = [number for each in found for number, verdict in each.ended if verdict == "accepted"]
+    assert accepted == [1, 3, 2]
+    frames = [frame for frame in contents(folder, rec.FrameWritten) if frame.cause == Cause.COMMAND]
+    assert [decode(frame.data).servos for frame in frames] == [commands[number].targets for number in accepted]
 
 
 async def test_a_command_that_broke_the_gateway_is_there(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -19,6 +19,7 @@ from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.zenoh_io.rings import RING_DEPTH, put_depth
 from schemas.keys import COMMAND_KEYS, LEGS_COMMAND, Target, leg_command, servo_command
 from schemas.robot import LEGS
+from tests.support.history import frames_of
 from tests.support.scenes import play, scene_test
 
 SEGMENT: Final = 1448
@@ -127,7 +128,8 @@ class Robot:
                 for each in newest:
                     angle = 90_00 + round(each.at_ms) % 1000
                     sent_ms = each.at_ms if self.timed else None
-                    command = Command(targets_of(key, ServoOp(each.op, angle)), key=key, sent_ms=sent_ms)
+                    targets = targets_of(key, ServoOp(each.op, angle))
+                    command = Command(targets, frames=frames_of(targets), key=key, sent_ms=sent_ms)
                     command.verb = each.verb
                     self.commanded |= set(command.by_leg)
                     self._step(now_ms, command, instant_ms)

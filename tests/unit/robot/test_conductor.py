@@ -130,9 +130,8 @@ async def test_the_black_box_has_each_command_that_stops_with_its_sender_and_tim
         (received_ns, 3, Verb.GET, LEG_3, "bert"),
         (received_ns + 1, 0, Verb.DELETE, keys.ESTOP, "anna"),
     ]
-    assert contents(folder, rec.Decision) == [rec.Decision(3, Reason.INVALID, LEG_3, "bert")]
-    numbers = [record.number for record in contents(folder, rec.FrameWritten) if record.cause == "command"]
-    assert numbers == [1, 2, 0], "what is rejected has no frame"
+    ended = [each for content in contents(folder, rec.CommandRecord, rec.StepRecord) for each in content.ended]
+    assert ended == [(1, "accepted"), (2, "accepted"), (3, Reason.INVALID)]
 
 
 # ---- Another program changed the device's settings: what is published, what is stopped, and which Stops still leave
@@ -372,7 +371,7 @@ async def test_a_setpoint_is_carried_out_alike_in_the_usual_and_in_the_general_w
 
 
 async def test_stops_count_that_have_the_cause_and_were_received() -> None:
-    sent = [Sent(0, 0, 0, received=received) for received in (True, False, True)]
+    sent = [Sent(0, 1, 0, 0, received=received) for received in (True, False, True)]
     causes = (Cause.ESTOP, Cause.ESTOP, Cause.REPEAT)
     frames = [events.Transmit(stop_leg(1), cause) for cause in causes]
     assert Outcome(written=list(zip(frames, sent, strict=True))).stop_frames(Cause.ESTOP) == 1

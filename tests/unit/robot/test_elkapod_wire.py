@@ -450,7 +450,7 @@ def test_when_it_left_and_how_long_it_took() -> None:
     assert (stops.ns, stops.call_ns) == (100 * MS + 50_000, 50_000)
     moves = parts.bus.write(starts()).sent[0]
     assert (moves.ns, moves.call_ns) == (100 * MS + 50_000, 0)
-    assert [sent.place for sent in parts.bus.write(STOPS).sent] == [*range(6)]
+    assert [sent.places for sent in parts.bus.write(STOPS).sent] == [range(6)]
 
 
 def test_a_late_cycle_is_not_made_up_for(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -214,9 +214,9 @@ def test_a_leg_is_steady_while_all_its_servos_run_for_its_sender_without_a_way_t
     for servo in leg.servos:
         servo.take(STARTS[20_00], COMMAND)
         servo.wrote_target(5)
-    assert leg.is_steady()
+    assert leg.is_steady_for(COMMAND.sender)
     NOT_STEADY[what](leg.servos[1])
-    assert not leg.is_steady()
+    assert not leg.is_steady_for(COMMAND.sender)
 
 
 def values(servo: Servo) -> list[object]:

@@ -1,6 +1,6 @@
 """The rate slots of a leg: when its next frame may leave. Pure."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 from gateway.rate_limit import NS_PER_S
@@ -33,10 +33,17 @@ class RateSlots:  # mutants accepted (Gt_GtE, Step): equal times; a clock begins
     taken_ns: int = 0
     """When the latest frame left."""
 
+    _kept_ns: int = field(init=False)
+    _least_ns: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._kept_ns = (BUCKET - 1) * self.period_ns
+        self._least_ns = -(-self.period_ns // SPACING_SHARE)  # rounded up: never closer
+
     def take(self, now_ns: int) -> None:
         """Use up the oldest slot that the bucket holds, for a frame that leaves now."""
-        kept_ns = now_ns - (BUCKET - 1) * self.period_ns
-        self.oldest_ns = (self.oldest_ns if self.oldest_ns > kept_ns else kept_ns) + self.period_ns
+        oldest_ns, kept_ns = self.oldest_ns, now_ns - self._kept_ns
+        soonest_ns = now_ns + self._least_ns
+        self.oldest_ns = oldest_ns = (oldest_ns if oldest_ns > kept_ns else kept_ns) + self.period_ns
         self.taken_ns = now_ns
-        soonest_ns = now_ns - (-self.period_ns // SPACING_SHARE)  # rounded up: never closer
-        self.next_ns = self.oldest_ns if self.oldest_ns > soonest_ns else soonest_ns
+        self.next_ns = oldest_ns if oldest_ns > soonest_ns else soonest_ns
