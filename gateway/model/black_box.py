@@ -63,8 +63,8 @@ ACCEPTED: Final = "accepted"
 COALESCED: Final = "coalesced"
 """Verdicts on a request, next to the reasons of rejections."""
 
-SETTINGS: Final = ("spi", "watchdog", "limits", "lease", "buttons", "safety")
-"""The sections of the settings that are recorded: what the core's rules follow from, but for wire and power board."""
+SETTINGS: Final = ("spi", "watchdog", "limits", "lease", "buttons", "safety", "power")
+"""The sections of the settings that are recorded, from which the core's rules follow; of the wire, only its name is."""
 STOP_FACTS: Final = ("stop_servos_first_ns", "stop_servos_last_ns")
 """Facts of a start: the times of `gateway.robot.host.stop_note`, if `stop-servos` ran before it."""
 

@@ -194,33 +194,38 @@ def differs(decided: Sequence[Decided]) -> Decided | None:
 
 def change_of(about: dict[str, Any], assignments: Sequence[str]) -> Change | None:
     """Return what changes the rules as these settings do (`NAME=VALUE`), or None. Raises ConfigError."""
-    kinds = {each.name: type(getattr(Settings(), each.name)) for each in fields(Settings)}
-    tables = {name: dict(about.get(name, {})) for name in form.SETTINGS}
-    before = {name: read(kinds[name], table, []) for name, table in tables.items()}
-    after, faults = dict(before), list[Fault]()
+    tables = {each.name: dict(about.get(each.name, {})) for each in fields(Settings)}
+    before = _settings(tables, [])
+    if (
+        tables["limits"].get("start_stagger_ms")
+        == Settings(wire=before.wire, power=before.power).limits.start_stagger_ms
+    ):
+        del tables["limits"]["start_stagger_ms"]  # by default, it follows from wire and power board
+    after, faults = before, list[Fault]()
     for each in assignments:
         name, found, value = each.partition("=")
         section, *path = name.strip().split(".")
-        if not found or section not in tables or not path:
-            known = ", ".join(form.SETTINGS)
-            raise ConfigError(f"--set {each}: write NAME=VALUE, with a setting of {known}: limits.takeover_deg_s=0")
+        if not found or not path or section not in tables:
+            raise ConfigError(f"--set {each}: write NAME=VALUE, with a setting's name: limits.takeover_deg_s=0")
         table: Any = tables[section]
         for part in path[:-1]:
             table = table.setdefault(part, {})
         table[path[-1]] = VariableText(value.strip())
-        after[section] = read(kinds[section], tables[section], faults, (section,))
-        if faults:
-            raise ConfigError("\n".join(f"--set {dotted(place)}: {sentence}" for place, sentence in faults))
-        if not _changes(before, after) and before[section] != after[section]:
-            raise ConfigError(f"--set {each}: the core's rules do not depend on it")
-    return (lambda found: replace(found, **_changes(before, after))) if assignments else None
+        last, after = after, _settings(tables, faults)
+        if not faults and last != after and rules(last) == rules(after):
+            raise ConfigError(f"--set {each}: it is no setting of the core, whose rules do not depend on it")
+    faults += [fault for fault in after.faults() if fault not in before.faults()]
+    if faults:
+        raise ConfigError("\n".join(f"--set {dotted(place)}: {sentence}" for place, sentence in dict.fromkeys(faults)))
+    old, new = ({each.name: getattr(rules(one), each.name) for each in fields(Rules)} for one in (before, after))
+    changes = {name: value for name, value in new.items() if value != old[name]}
+    return (lambda found: replace(found, **changes)) if assignments else None
 
 
-def _changes(before: dict[str, Any], after: dict[str, Any]) -> dict[str, Any]:
-    """Return the fields of the rules that differ between these sections of the settings."""
-    old, new = (rules(replace(Settings(), **sections)) for sections in (before, after))
-    pairs = ((each.name, getattr(old, each.name), getattr(new, each.name)) for each in fields(Rules))
-    return {name: value for name, was, value in pairs if value != was}
+def _settings(tables: dict[str, Any], faults: list[Fault]) -> Settings:
+    """Return the settings in these tables. Add the faults of sections, not those between sections."""
+    kinds: dict[str, Any] = {each.name: each.type for each in fields(Settings)}
+    return Settings(**{name: read(kind, tables[name], faults, (name,)) for name, kind in kinds.items()})
 
 
 class Played(NamedTuple):

@@ -214,7 +214,7 @@ class Recorder:
         """None: the black box is off, or closed."""
         about = {"version": __version__, "protocol": settings.protocol, "simulated": facts.get("simulated")}
         sections = {name: asdict(getattr(settings, name)) for name in form.SETTINGS}
-        self._about = form.fields({**about, **sections})
+        self._about = form.fields({**about, "wire": {"name": settings.wire.name}, **sections})
         self._append(form.START, clock(), form.fields(wall_ns(), {"pid": os.getpid(), **facts}))
         self._append(form.ABOUT, self._about_ns, self._about)
 

@@ -4,6 +4,7 @@ import asyncio
 import json
 from collections.abc import Callable
 from contextlib import nullcontext
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 from zlib import compress
@@ -13,7 +14,10 @@ import pytest
 from gateway.model import black_box as form
 from gateway.model.black_box import RING_FILE
 from gateway.model.power_board import SERVO_OVERCURRENT
-from gateway.onboard.replay import RULES, seconds
+from gateway.model.protocols import called
+from gateway.onboard.replay import RULES, change_of, seconds
+from gateway.robot.core.rules import Rules
+from gateway.robot.settings import Settings
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Reason
@@ -153,14 +157,50 @@ async def test_with_another_setting_the_first_difference_is_shown(folder: Path) 
     assert of_ring(folder, "last", "--set", "watchdog.timeout_ms=250").returncode == 0
     for wrong, sentence in {
         "watchdog.timeout_ms": "write NAME=VALUE",
-        "zenoh.listen=x": "write NAME=VALUE, with a setting of spi, watchdog",
+        "zenith.listen=x": "write NAME=VALUE, with a setting's name",
+        'zenoh.listen=["tcp/[::]:7447"]': "it is no setting of the core",
+        "controller.uart=/dev/ttyS0": "it is no setting of the core",
+        "power.confirm_ms=500": "it is no setting of the core",
+        "wire.name=no-wire": "wire: ",
+        "wire.mood=good": "wire.mood: is no setting",
+        "safety.max_tilt_deg=30": "safety.max_tilt_deg: hexapod-1.0 has nothing that measures it",
         "watchdog.timeout_ms=soon": "watchdog.timeout_ms: ",
         "watchdog.time=1": "watchdog.time: ",
-        "limits.max_age_ms=0": "the core's rules do not depend on it",
+        "limits.max_age_ms=0": "whose rules do not depend on it",
     }.items():
         ended = of_ring(folder, "last", "--set", wrong)
         assert ended.returncode == 2
         assert sentence in ended.stderr
+
+
+ABOUT = {name: asdict(getattr(Settings(), name)) for name in form.SETTINGS} | {"wire": {"name": "hexapod-1.0"}}
+
+
+@pytest.mark.parametrize(
+    ("assignments", "changes"),
+    [
+        (["power.interface=socketcan"], {"power": True, "start_pause_ns": 0}),
+        (["power.interface=socketcan", "limits.start_stagger_ms=30"], {"power": True, "start_pause_ns": 30_000_000}),
+        (["spi.framing=length-prefixed"], {"avoid_cdeg": (1_00, 4_00)}),
+        (["limits.start_stagger_ms=15"], {}),
+        (["limits.servos.11.max_deg=90"], {"joint_limits_cdeg": {11: (0, 90_00)}}),
+        (
+            ["wire.name=elkapod-2025", "safety.max_tilt_deg=30"],
+            {"wire": "elkapod-2025", "starts_whole": True, "whole_robot": True, "start_pause_ns": 0,
+             "angles_first": True, "max_tilt_cdeg": 30_00},
+        ),
+        (
+            ["wire.name=elkapod-2025", "power.interface=socketcan"],
+            {"wire": "elkapod-2025", "power": True, "start_pause_ns": 0, "angles_first": True},
+        ),
+    ],
+)  # fmt: skip
+def test_a_setting_changes_the_rules_that_follow_from_it(assignments: list[str], changes: dict[str, Any]) -> None:
+    change, found = change_of(ABOUT, assignments), Rules(joint_limits_cdeg={21: (0, 1)}, timeout_ns=7)
+    assert change is not None
+    expected = {each.name: getattr(found, each.name) for each in fields(Rules)} | changes
+    expected |= {"wire": called(expected["wire"])} if "wire" in changes else {}
+    assert {each.name: getattr(change(found), each.name) for each in fields(Rules)} == expected
 
 
 def spoil(folder: Path, kind: int, *, before_zero: int, rest: bytes | None = None) -> None:
