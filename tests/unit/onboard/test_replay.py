@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import re
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import asdict, fields
@@ -236,6 +237,41 @@ async def test_what_cannot_be_played_has_a_sentence_and_the_rest_is_played(folde
         ended = of_ring(folder, "last")
         assert (ended.returncode, sentence in ended.stderr) == (2, True), ended.stdout + ended.stderr
         assert ("Decided again from" in ended.stdout) is played_in_part
+
+
+@pytest.mark.virtual_time
+async def test_what_a_flood_left_no_room_for_has_a_sentence_and_the_rest_is_played(folder: Path) -> None:
+    robot = recorded(Robot({"limits": {"leg_rate_hz": 2}, "state": {"path": str(folder)}}))
+    await asyncio.sleep(1.5)
+    await driven(robot, 1, 1, source="ben")
+    await driven(robot, 1, 1, 2)
+    robot.put(keys.ESTOP, {"source": "anna"})
+    robot.conductor.recorder.close()
+    ended = of_ring(folder, "last")
+    assert ended.returncode == 2, ended.stdout
+    assert "events are missing: a source sent more than the black box has room for" in ended.stderr
+    assert "ben: " in ended.stdout
+    assert "Decided again from" in ended.stdout
+
+
+@pytest.mark.virtual_time
+async def test_an_incident_of_another_robot_plays_on_a_laptop(folder: Path) -> None:
+    """It has other settings, and neither the robot's device nor its folder."""
+    await played(folder, "landing")
+    ring, laptop = (folder / RING_FILE).resolve(), folder.parent / "laptop"
+    laptop.mkdir()
+    for file in ring.parent.glob(f"{ring.name}*"):
+        (laptop / file.name.replace(ring.name, RING_FILE)).write_bytes(file.read_bytes())
+        file.unlink()
+    config = laptop / "laptop.toml"
+    config.write_text(
+        f'state.path = "{laptop}"\nspi.device = "/dev/none"\nwire.name = "elkapod-2025"\n'
+        "[watchdog]\ntimeout_ms = 3000\n[lease]\nrequired = true\n[limits]\nleg_rate_hz = 7\n"
+    )
+    ended = run_here("incidents", "replay", "last", "--config", str(config))
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert re.search("Landing → no command for leg . in 250 ms; the robot lands", ended.stdout)
+    assert "the same" in ended.stdout.splitlines()[-1]
 
 
 def test_each_rule_is_one_of_the_contract() -> None:
