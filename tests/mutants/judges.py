@@ -98,6 +98,8 @@ JUDGES: Final = {
         *_robot("conductor telemetry elkapod_conductor power_conductor"),
     ),
     "gateway/robot/runtime/estop_keeper.py": _robot("estop_file"),
+    "gateway/robot/blackbox/journal.py": _robot("journal"),
+    "gateway/onboard/replay.py": _tests("unit/onboard", "replay"),
     "gateway/robot/blackbox/recorder.py": (*_CONDUCTOR, *_robot("incident_copies telemetry"), *_people("ring")),
     # rules of the people's wing, with the time as an argument
     "gateway/rate_limit.py": _tests("unit", "rate_limit"),
