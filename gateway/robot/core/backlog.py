@@ -77,8 +77,7 @@ class Backlog:
         since_ns, stretch.instant_ns = stretch.instant_ns, instant_ns
         # A program that waits for each answer may be faster than a stream.
         least_ns = 1 if command.verb is _GET else rules.apart_ns
-        alone = instant_ns - since_ns >= least_ns
-        if not alone:
+        if instant_ns - since_ns < least_ns:
             stretch.score = min(rules.most_clumped, stretch.score + CLUMPED)
         elif stretch.score:
             stretch.score -= 1

@@ -158,7 +158,7 @@ def test_an_event_is_read_as_it_was(name: str) -> None:
     assert {type(event) for event in EVENTS.values()} == ALL_EVENTS
     event = EVENTS[name]
     plain = from_json(to_json(journal.plain_event(event)))
-    secrets = {each: MASKED for each in journal.SECRETS if getattr(event, each, None)}
+    secrets: dict[str, Any] = {each: MASKED for each in journal.SECRETS if getattr(event, each, None)}
     assert shape(journal.event_of(plain)) == shape(replace(event, **secrets))
     assert plain == TEXTS.get(name, plain)
 
