@@ -270,8 +270,9 @@ async def test_an_incident_of_another_robot_plays_on_a_laptop(folder: Path) -> N
     )
     ended = run_here("incidents", "replay", "last", "--config", str(config))
     assert (ended.returncode, ended.stderr) == (0, "")
-    assert re.search("Landing → no command for leg . in 250 ms; the robot lands", ended.stdout)
-    assert "the same" in ended.stdout.splitlines()[-1]
+    lines = ended.stdout.splitlines()
+    assert " 0.000 s  time passed → Landing → no command for leg 1 in 250 ms" in lines
+    assert re.fullmatch(r"Decided again from −\S+ s: the same \d+ frames\.", lines[-1])
 
 
 def test_each_rule_is_one_of_the_contract() -> None:
