@@ -74,10 +74,11 @@ class Backlog:
         stretch.last_ns = now_ns
         stretch.count += 1
         stretch.servos = stretch.servos.union([servo_id for servo_id, _ in command.moves])
-        since_ns, stretch.instant_ns = stretch.instant_ns, instant_ns
+        apart_ns = instant_ns - stretch.instant_ns
+        stretch.instant_ns = instant_ns
         # A program that waits for each answer may be faster than a stream.
         least_ns = 1 if command.verb is _GET else rules.apart_ns
-        if instant_ns - since_ns < least_ns:
+        if apart_ns < least_ns:
             stretch.score = min(rules.most_clumped, stretch.score + CLUMPED)
         elif stretch.score:
             stretch.score -= 1

@@ -13,7 +13,7 @@ BOUNDS_US: Final = (50, 100, 200, 500, 1_000, 2_000, 5_000, 10_000, 20_000, 50_0
 
 
 NEW: Final = 64  # mutants accepted (Step): none is the only right one
-"""So many latencies are kept until they are counted: with cold caches, counting each by itself takes twice the time."""
+"""How many latencies are kept until they are counted: with cold caches, counting one by one takes twice the time."""
 
 
 @dataclass(slots=True)

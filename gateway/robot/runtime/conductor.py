@@ -86,18 +86,21 @@ class Conductor:
         self.supply = None if line is None else RobotSupply(line, supervisor, bus)
         if line is not None:
             line.on_news = self._power_changed_soon
-        self.reports = RobotReports(settings, supervisor, bus, line, self.outbox, self.recorder, self.clock)
+        self.messages = Messages()
+        """Where received messages come from."""
+        self.reports = RobotReports(
+            settings, supervisor, bus, line, self.outbox, self.recorder, self.clock, lambda: self.messages.passed_over
+        )
         self.metrics = self.reports.metrics
         self.executor = Executor(bus, self.supply, self.reports, publish_frames=settings.telemetry.frames)
         self._instant_ns = self.clock()  # mutants accepted (Forget): no instant is open before the first
-        self.messages = Messages()
-        """Where received messages come from."""
         self.numbers = count(1)
         """The numbers of requests to the supervisor."""
         self._lost_key = ""
         """The key whose messages are handled after a loss, else ""."""
         self._lost_stops: Targets = ()
         self._staleness = Staleness(settings.limits.max_age_ms) if settings.limits.max_age_ms else None
+        self._announces = bus.announces  # read for each setpoint
         self._timer = OwnersTimer(self.loop, self.owner, self._wake)
         self._reopen_timer = OwnersTimer(self.loop, self.owner, self._reopen)
         self._preamble_timer = OwnersTimer(self.loop, self.owner, self._write_preamble)
@@ -185,7 +188,6 @@ class Conductor:
     def record_alive(self) -> int:
         """Return now (ns) and record that the process runs. Call it ten times a second: a gap shows that it did not."""
         now_ns = self.clock()
-        self.metrics.passed_over = self.messages.passed_over
         if self._staleness is not None:
             self._staleness.record_alive(now_ns)
         return now_ns
@@ -283,7 +285,7 @@ class Conductor:
                 outcome = self.executor.carry_out_usual(frames, command, now_ns, instant_ns)
                 if outcome is not None:
                     self._after_fault(outcome)
-                if self.bus.announces:
+                if self._announces:
                     self._arm()  # for the preamble
             else:
                 outcome = self._step(command, instant_ns, now_ns)
@@ -425,7 +427,7 @@ class Conductor:
     def _arm(self) -> None:  # mutants accepted (Forget, Step): a tick too many does nothing; a time that is over
         """Set the timers for what is due next."""
         due_ns, bus = self.supervisor.due_ns, self.bus
-        if bus.announces:
+        if self._announces:
             preamble_ns = self._preamble_ns()
             if not self._preamble_timer.armed and (bus.resync_due or self._is_due(preamble_ns)):
                 self._preamble_timer.set_in(0)  # on the loop, so that other owners get the state between two parts

@@ -80,7 +80,9 @@ class Numbers(Collector):
         yield _counter("commands_coalesced", "Accepted commands that a newer one replaced", metrics.coalesced)
         yield _counter("overflows", "Times that messages of one key were lost before they were read", metrics.overflows)
         yield _counter("messages_lost", "Messages lost in overflows, at least", metrics.lost)
-        yield _counter("messages_passed_over", "Messages displaced by newer ones of their key", metrics.passed_over)
+        yield _counter(
+            "messages_passed_over", "Messages displaced by newer ones of their key", conductor.messages.passed_over
+        )
         yield _counter("commands_rejected", "Commands rejected", _counts(metrics.rejected, Reason), "reason")
         yield _counter("frames_written", "Frames written to SPI", _counts(metrics.frames, Cause), "cause")
         yield _counter("spi_errors", "SPI transfers and openings that failed", bus.errors)

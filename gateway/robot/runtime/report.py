@@ -75,8 +75,6 @@ class Metrics:
     """Times that a ring overflowed, so that messages of its key were lost."""
     lost: int = 0
     """Messages skipped undecoded after an overflow: the least number that was lost."""
-    passed_over: int = 0
-    """Messages that newer ones of the same key displaced before they were read one by one."""
     rejected: Counter[Reason] = field(default_factory=Counter)
     frames: Counter[Cause] = field(default_factory=Counter)
     events: Counter[Kind] = field(default_factory=Counter)
@@ -103,6 +101,8 @@ class RobotReports:
     recorder: Recorder
     clock: Callable[[], int]
     """Returns the monotonic time in ns."""
+    passed_over: Callable[[], int]
+    """Returns how many messages newer ones of the same key have displaced. Asked for each state, not for each tick."""
 
     def __post_init__(self) -> None:
         self.metrics = Metrics()
@@ -304,7 +304,7 @@ class RobotReports:
                 coalesced=metrics.coalesced,
                 overflows=metrics.overflows,
                 lost=metrics.lost,
-                passed_over=metrics.passed_over,
+                passed_over=self.passed_over(),
             ),
             spi=telemetry.SpiCounts(frames=bus.frames, errors=bus.errors),
             watchdog=telemetry.WatchdogCounts(
