@@ -7,6 +7,7 @@ import os
 import signal
 import socket
 import threading
+from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
@@ -45,6 +46,25 @@ def test_a_share_is_at_most_its_buckets_end_or_the_worst(
     for each_us in latencies_us:
         latency.record(each_us * 1000)
     assert (latency.at_most_us(0.5), latency.at_most_us(0.99), latency.p50_p99_us()) == (p50, p99, of_the_last)
+
+
+def test_a_latency_is_counted_once_though_two_threads_count() -> None:
+    class ReadMeanwhile(deque[int]):
+        """New latencies that another thread asks for while they are counted."""
+
+        def popleft(self) -> int:
+            if asks := not asked:
+                asked.append(asks)
+                other = threading.Thread(target=latency.p50_p99_us)
+                other.start()
+                other.join()
+            return super().popleft()
+
+    asked: list[bool] = []
+    latency = Latency(ReadMeanwhile())
+    for each_us in (60, 150, 150):
+        latency.record(each_us * 1000)
+    assert (sum(latency.buckets), latency.sum_us, len(latency.recent_us), asked) == (3, 360.0, 3, [True])
 
 
 # ---- The file that says on this machine whether a servo runs

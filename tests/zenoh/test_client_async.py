@@ -197,7 +197,7 @@ async def test_a_call_that_fails_after_its_cancellation_prints_nothing() -> None
     task.cancel()
     await asyncio.wait([task])
     cancelled.set()
-    await asyncio.to_thread(calls.wait_for_stops, lambda: None)
+    await asyncio.to_thread(calls.after_stops(bool))
     del task
     gc.collect()
     assert said == []
@@ -228,8 +228,21 @@ async def test_a_stop_does_not_wait_behind_questions_and_closing_waits_for_it(ga
         await asyncio.sleep(0)
         stopping.cancel()
         await asyncio.wait([stopping])
-        closing = asyncio.create_task(asyncio.to_thread(calls.wait_for_stops, lambda: order.append("closed")))
+        closing = asyncio.create_task(asyncio.to_thread(calls.after_stops(lambda: order.append("closed"))))
         await asyncio.wait([closing], timeout=0.1)
         answered.set()
         await asyncio.gather(closing, *pending)
     assert order == ["stopped", "closed"]
+
+
+async def test_closing_ends_although_it_is_cancelled_before_a_thread_takes_it() -> None:
+    calls, stopped, closed = Calls(), threading.Event(), threading.Event()
+    stopping = asyncio.create_task(calls.run(lambda: stopped.wait(10), stops=True))
+    await asyncio.sleep(0)
+    closing = asyncio.create_task(calls.run(calls.after_stops(closed.set)))
+    await asyncio.sleep(0)
+    closing.cancel()
+    await asyncio.wait([closing])
+    stopped.set()
+    await stopping
+    assert await asyncio.to_thread(closed.wait, 10)

@@ -147,8 +147,14 @@ async def walks():
         await walk.ahead(10)
 
 async def main():
-    async with asyncio.TaskGroup() as tasks:
-        tasks.create_task(walks())
+    walk = asyncio.create_task(walks())
+    try:
+        await asyncio.wait([walk])
+    finally:
+        for _ in range(2):  # as a task group may whose own task is cancelled, too
+            walk.cancel()
+            await asyncio.sleep(0.05)
+        await walk
 
 asyncio.run(main())
 """

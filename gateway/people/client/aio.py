@@ -30,23 +30,42 @@ class Calls:
     def __init__(self) -> None:
         self._questions, self._stops = ThreadPoolExecutor(32), ThreadPoolExecutor(1000)  # a Stop never waits for others
 
-    async def run(self, call: Callable[[], T], too_late: Callable[[T], object] = id, *, stops: bool = False) -> T:
-        """Return the result of `call`, or raise its error. If cancelled, `call` continues; then `too_late` gets it."""
+    async def run(
+        self,
+        call: Callable[[], T],
+        too_late: Callable[[T], object] = id,
+        *,
+        stops: bool = False,
+        waits_on: Callable[[], bool] = bool,
+    ) -> T:
+        """Return the result of `call`, or raise its error.
+
+        If cancelled, `call` continues; then `too_late` gets it. A cancellation while `waits_on()` changes nothing.
+        """
         future = (self._stops if stops else self._questions).submit(call)
         on_loop = asyncio.wrap_future(future)
-        try:
-            await asyncio.wait([on_loop])  # Python 3.14's `shield` prints errors that come after a cancellation
-        except asyncio.CancelledError:
-            on_loop.add_done_callback(asyncio.Future.exception)  # else asyncio prints the error that nobody awaits
-            self._stops.submit(lambda: future.exception() or too_late(future.result()))
-            raise
+        while not on_loop.done():
+            try:
+                await asyncio.wait([on_loop])  # Python 3.14's `shield` prints errors that come after a cancellation
+            except asyncio.CancelledError:
+                if waits_on():
+                    continue
+                on_loop.add_done_callback(asyncio.Future.exception)  # else asyncio prints the error that nobody awaits
+                self._stops.submit(lambda: future.exception() or too_late(future.result()))
+                raise
         return on_loop.result()
 
-    def wait_for_stops(self, call: Callable[[], None]) -> None:
-        """Wait until all pending Stops have their answers, then call `call`. Blocks."""
+    def after_stops(self, call: Callable[[], T]) -> Callable[[], T]:
+        """Return a function that waits until all Stops pending now have their answers, then calls `call`."""
+        # Here, on the loop: a cancellation submits to the new threads at once, and the old ones are not asked to wait
+        # for what waits for them.
         stops, self._stops = self._stops, ThreadPoolExecutor(1)
-        stops.shutdown()
-        call()
+
+        def wait_and_call() -> T:
+            stops.shutdown()
+            return call()
+
+        return wait_and_call
 
 
 class Twin(Generic[H]):
@@ -180,10 +199,13 @@ class AsyncWalk(Twin[Walk]):
         return self
 
     async def __aexit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
-        if self._signals.count == 1 and isinstance(error, asyncio.CancelledError):
+        by_signal = self._signals.count == 1 and isinstance(error, asyncio.CancelledError)
+        if by_signal:
             error = KeyboardInterrupt()  # at which a walk sits
         with self._signals.end():
-            await super().__aexit__(kind, error, trace)
+            leave = partial(self._own.__exit__, kind, error, trace)
+            # The end of a loop cancels all tasks, and a task group its own again: twice for one signal.
+            await self._calls.run(leave, stops=True, waits_on=lambda: by_signal and self._signals.count == 1)
 
     async def ahead(self, metres: float) -> None:
         """See `Walk.ahead`. When cancelled, the robot stands within `hold_s` and a stride."""
@@ -220,7 +242,7 @@ class AsyncClient(Twin[Client]):
     async def close(self) -> None:
         """Disconnect after all pending Stops have their answers."""
         if self._there is not None:
-            await self._calls.run(partial(self._calls.wait_for_stops, self._there.close))
+            await self._calls.run(self._calls.after_stops(self._there.close))
 
     name: str = same("name")
     connected: bool = same("connected")

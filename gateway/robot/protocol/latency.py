@@ -5,6 +5,7 @@ They are apart from the other metrics, since `stop-servos` uses them and must lo
 
 from bisect import bisect_left
 from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -12,7 +13,7 @@ BOUNDS_US: Final = (50, 100, 200, 500, 1_000, 2_000, 5_000, 10_000, 20_000, 50_0
 """Upper ends of the histogram's buckets, from one transfer (45 µs) to a delay that is visible on the robot."""
 
 
-NEW: Final = 64  # mutants accepted (Step): none is the only right one
+NEW: Final = 64
 """How many latencies are kept until they are counted: with cold caches, counting one by one takes twice the time."""
 
 
@@ -20,7 +21,7 @@ NEW: Final = 64  # mutants accepted (Step): none is the only right one
 class Latency:
     """Latencies in microseconds: the last ones for percentiles, all of them as a histogram, and the worst."""
 
-    _new_ns: list[int] = field(default_factory=list)
+    _new_ns: deque[int] = field(default_factory=deque)
     _recent_us: deque[float] = field(default_factory=lambda: deque(maxlen=1000))
     _buckets: list[int] = field(default_factory=lambda: [0] * (len(BOUNDS_US) + 1))
     _sum_us: float = 0.0
@@ -33,11 +34,15 @@ class Latency:
             self._count()
 
     def _count(self) -> None:
-        new_us, self._new_ns = [latency_ns / 1000 for latency_ns in self._new_ns], []
+        new_us: list[float] = []
+        with suppress(IndexError):  # none is left. One by one: the page of metrics counts on a thread of its own
+            while True:
+                new_us.append(self._new_ns.popleft() / 1000)
         for latency_us in new_us:
             self._buckets[bisect_left(BOUNDS_US, latency_us)] += 1
         self._recent_us += new_us
-        self._sum_us += sum(new_us)
+        new_sum_us = sum(new_us)  # first: a call between reading and writing loses the other thread's sum
+        self._sum_us += new_sum_us
         self._max_us = max([*new_us, self._max_us or 0.0]) if new_us else self._max_us
 
     @property
