@@ -88,14 +88,14 @@ class TargetRules(NamedTuple):
     """Set if the key must be named: how a rejected delete or wildcard continues. The sender may not have meant it."""
 
 
-_OF_ALL: Final = len(Sender.model_fields)
+_OF_SENDER: Final = len(Sender.model_fields)
 _ALL: Final = {0: SERVO_IDS}
 _OWN: Final = {servo_id: (servo_id,) for servo_id in SERVO_IDS}
 
 TARGETS: Final[dict[Target, TargetRules]] = {
-    Target.LEGS: TargetRules(_ALL, _read_legs, {3 * legs: _OF_ALL + 1 + 5 * legs for legs in LEGS}),
-    Target.LEG: TargetRules(_IDS_OF_LEG, _read_leg, {3: _OF_ALL + 1 + 3}),
-    Target.SERVO: TargetRules(_OWN, _read_servo, {1: _OF_ALL + 1}),
+    Target.LEGS: TargetRules(_ALL, _read_legs, {3 * legs: _OF_SENDER + 1 + 5 * legs for legs in LEGS}),
+    Target.LEG: TargetRules(_IDS_OF_LEG, _read_leg, {3: _OF_SENDER + 1 + 3}),
+    Target.SERVO: TargetRules(_OWN, _read_servo, {1: _OF_SENDER + 1}),
     Target.ESTOP: TargetRules(_ALL, None),
     Target.RESET: TargetRules({0: ()}, _read_reset, explicit_only=f"does not reset; put {{}} on {keys.RESET}"),
 }

@@ -26,7 +26,10 @@ class Leg:  # mutants accepted (FalseWithTrue, Step, TrueWithFalse): set before 
     """The sender whose next angles need no rule but limits and rate slots; None: not known since `Legs.plan`."""
 
     def is_steady_for(self, sender: Sender) -> bool:
-        """Return whether all its servos run for this sender, at any speed, and none has a way to go."""
+        """Return whether all its servos run for this sender, at any speed, and none has a way to go.
+
+        If so, `steady_for` remembers it until the next `Legs.plan`.
+        """
         steady = self.sender == sender and all(
             each.life is RUNNING and each.target is None and each.pace_cdeg_s is None and each.sender == sender
             for each in self.servos

@@ -65,7 +65,7 @@ class Owner:
         return self.reported(kind)[0]
 
     def feed_all(self) -> None:
-        """Feed all, even if the adapter's thread gets no processor for so long that the board seems silent."""
+        """Feed all servos. Ask again if the board seems silent: the adapter's thread may be late."""
         while self.line.status.supplied != ALL_SERVOS:
             self.line.request(lambda board, now_ns: board.want(frozenset(), 0, now_ns))
             self.line.request(lambda board, now_ns: board.want(ALL_SERVOS, 0, now_ns))
