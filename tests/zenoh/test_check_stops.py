@@ -5,7 +5,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -100,6 +100,17 @@ def test_whoever_ends_it_finds_all_legs_stopped(gateway: Gateway, step: str) -> 
         assert "All legs are stopped." in child.stderr, str(child)
         assert "NOT passed" in child.stdout
         assert client.state().mode == "idle"
+
+
+def test_a_signal_that_a_callback_has_swallowed_ends_it_when_it_is_delivered_again(gateway: Gateway) -> None:
+    with gateway.client() as client:
+        bench = Bench(client, ServoMotion(31, 90))
+        with stops._ended_stopped(bench):
+            with suppress(KeyboardInterrupt):
+                signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
+            pytest.fail("the check goes on")
+        assert not bench.running()
 
 
 def test_where_the_lease_is_taken_from_it_all_legs_are_stopped(gateway: Gateway) -> None:

@@ -14,6 +14,7 @@ import pytest
 import zenoh
 
 from gateway.host.realtime import LOOP_PRIORITY, PAGE_PRIORITY, RECEIVER_PRIORITY, TIMER_SLACK_NS, ZENOH_NICE
+from gateway.people.client.process_end import WalkSignals, keep_signals
 from gateway.robot.zenoh_io.session import RUNTIME
 from gateway.zenoh.limits import MAX_SESSIONS
 from tests.support.gateway_process import Gateway
@@ -116,3 +117,20 @@ def test_a_signal_in_a_zenoh_callback_ends_what_waits(
     finally:
         signal.signal(number, before)
     assert threads == [threading.main_thread()]
+
+
+def test_a_signal_that_is_delivered_again_is_one_signal_for_a_walk(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two would stop the robot at once, instead of sitting down."""
+    monkeypatch.setattr(logging.getLogger("zenoh.handlers"), "filters", [])
+    keep_signals()
+    ended: list[bool] = []
+    signals = WalkSignals(lambda: ended.append(True)).begin()
+    with signals.end():
+        for count in (1, 2):
+            try:
+                signal.raise_signal(signal.SIGINT)
+            except KeyboardInterrupt:
+                logging.getLogger("zenoh.handlers").exception("callback error")  # as Zenoh does
+            with pytest.raises(KeyboardInterrupt):
+                threading.Event().wait(WAIT_S)
+            assert (signals.count, ended) == (count, [True] * (count - 1))

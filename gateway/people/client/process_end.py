@@ -31,6 +31,8 @@ _CALLBACKS: Final = "pyo3-closure"
 """Part of the names of Zenoh's own threads."""
 
 
+_again: Final[list[int]] = []
+"""Signals that are delivered again, and have not come yet."""
 _processes: set[int] = set()
 """The process that has opened sessions; after a fork the child's own id is not among them."""
 
@@ -61,6 +63,7 @@ def _is_no_signal(record: logging.LogRecord) -> bool:
         if isinstance(raised, error) and threading.current_thread() is threading.main_thread():
             # To the process: it ends a wait, too. On Windows os.kill would end the process.
             kill = partial(os.kill, os.getpid()) if os.name == "posix" else _thread.interrupt_main
+            _again.append(number)
             again = threading.Timer(_AGAIN_S, kill, (number,))
             again.daemon = True
             again.start()
@@ -90,6 +93,8 @@ class WalkSignals:
     def begin(self) -> Self:
         """Begin in the main thread. Elsewhere this does nothing, since Python delivers signals to the main thread."""
         if threading.current_thread() is threading.main_thread():
+            if not self._open:
+                _again.clear()
             self._open.append(self)
             for number in (signal.SIGINT, signal.SIGTERM) if len(self._open) == 1 else ():
                 before = signal.getsignal(number)
@@ -121,14 +126,21 @@ class WalkSignals:
     @classmethod
     def _received(cls, number: int, frame: FrameType | None) -> None:
         """Count a signal, and leave it to its handler: `asyncio.run` cancels its main task at the first Ctrl-C."""
-        for each in cls._open:
-            each.count += 1
-            if each.count > 1:
-                each._end_now()
+        if number in _again:
+            _again.remove(number)
+        else:
+            cls._count()
         before = cls._handlers[number]
         if not callable(before):
             raise Terminated
         before(number, frame)
+
+    @classmethod
+    def _count(cls) -> None:
+        for each in cls._open:
+            each.count += 1
+            if each.count > 1:
+                each._end_now()
 
 
 _open: WeakSet[AbstractContextManager[Any]] = WeakSet()
