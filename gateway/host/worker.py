@@ -24,6 +24,8 @@ class Worker:
         """With a `priority`, nothing preempts it while it holds the interpreter's lock (realtime.py). None: normal."""
         self._priority = priority
         self._waiting: SimpleQueue[Callable[[], object] | None] = SimpleQueue()
+        self.runs = True
+        """False once the thread has ended, also by work that raised."""
         self.thread = threading.Thread(target=self._run, name=name, daemon=True)
         self.thread.start()
 
@@ -41,11 +43,14 @@ class Worker:
         self.thread.join(timeout_s)
 
     def _run(self) -> None:
-        if self._priority is not None:
-            prefer_thread(self._priority)
-        for work in iter(self._waiting.get, None):
-            work()
-            del work  # releases what it refers to, such as a query whose sender waits
+        try:
+            if self._priority is not None:
+                prefer_thread(self._priority)
+            for work in iter(self._waiting.get, None):
+                work()
+                del work  # releases what it refers to, such as a query whose sender waits
+        finally:
+            self.runs = False
 
 
 def in_thread(name: str, call: Callable[[], T]) -> "asyncio.Future[T]":

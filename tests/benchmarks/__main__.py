@@ -64,8 +64,8 @@ class Stream:
 
 
 STREAMS: Final = (
-    Stream("six legs, a message each", cpu_aim=2.2, p50_aim=1.5, rclpy_aim=1.0),
-    Stream("legs/cmd", whole=True, cpu_aim=2.7, p50_aim=1.4),
+    Stream("six legs, a message each", cpu_aim=2.3, p50_aim=1.8, rclpy_aim=1.0),
+    Stream("legs/cmd", whole=True, cpu_aim=2.0, p50_aim=1.8),
     Stream("six legs, all at once", rclpy_aim=1.0, at_once=len(LEGS)),
     Stream("six legs, length-prefixed", framing=Framing.LENGTH_PREFIXED),
 )
@@ -265,7 +265,7 @@ def _idle(naive: Runner, ours: Runner) -> list[Row]:
     took_ns = time.monotonic_ns() - begun_ns
     used = [cpu_ns(runner.pid) - before_ns for runner, before_ns in zip((ours, naive), begun, strict=True)]
     share, their_share = (100 * used_ns / took_ns for used_ns in used)
-    return [row("idle: CPU, share of one core", f"{share:.2f} %", f"{their_share:.2f} %", share, 0.3, " %")]
+    return [row("idle: CPU, share of one core", f"{share:.2f} %", f"{their_share:.2f} %", share, 0.4, " %")]
 
 
 def _rows(stream: Stream, found: dict[str, Figures]) -> Iterator[Row]:

@@ -168,7 +168,7 @@ class Inbox(Messages):
         """Return whether all threads run, and the receiver threads make progress. Call it once a beat, as owner."""
         self._wake()  # all rings are read: a message may have come before its wakeup, or long after it
         progress = [receiver.makes_progress() for receiver in self._receivers]  # each counts its beats
-        return all(progress) and all(worker.thread.is_alive() for worker in self._workers)
+        return all(progress) and all(worker.runs for worker in self._workers)
 
     def close(self) -> None:
         """Undeclare everything, which ends the receiver threads, and join them.

@@ -49,17 +49,26 @@ class ReceiverThread:
         """When the item in hand was received; None: there is none."""
         self._seen_ns: int | None = None
         self._stuck_beats = 0
+        self._runs = True
         self.thread = threading.Thread(target=self._wait, name=name, daemon=True)
         self.thread.start()
 
     def makes_progress(self) -> bool:
-        """Return whether the thread is alive and makes progress. Call it once a beat."""
+        """Return whether the thread runs and makes progress. Call it once a beat."""
         in_hand_ns = self._in_hand_ns
-        same = in_hand_ns is not None and in_hand_ns == self._seen_ns
-        self._stuck_beats, self._seen_ns = self._stuck_beats + 1 if same else 0, in_hand_ns
-        return self.thread.is_alive() and self._stuck_beats < STUCK_BEATS
+        if in_hand_ns is None or in_hand_ns != self._seen_ns:
+            self._stuck_beats, self._seen_ns = 0, in_hand_ns
+        else:
+            self._stuck_beats += 1
+        return self._runs and self._stuck_beats < STUCK_BEATS
 
     def _wait(self) -> None:
+        try:
+            self._receive()
+        finally:
+            self._runs = False
+
+    def _receive(self) -> None:
         prefer_thread(self._priority)
         with suppress(zenoh.ZError):  # the ring closes with the session, which ends the thread
             while True:

@@ -117,7 +117,8 @@ class Rings(Generic[Item, Message]):
         for _ in range(PASSES):
             again: set[Ring[Item]] = set()
             for ring in due:
-                again.discard(ring)  # it is read now, after the message that made it due
+                if again:
+                    again.discard(ring)  # it is read now, after the message that made it due
                 first = ring.receive()
                 if first is not None:
                     second = ring.receive()
