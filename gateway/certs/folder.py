@@ -9,8 +9,8 @@ import os
 import re
 import stat
 import zipfile
-from collections.abc import Iterable, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
@@ -23,7 +23,7 @@ from gateway.certs.authority import CA, CONSOLE, GATEWAY, Certificate, KeyPair, 
 from gateway.certs.files import read_certificate
 from gateway.certs.revocation import RevocationList, Revoked
 from gateway.errors import ConfigError
-from gateway.files import nesting
+from gateway.files import durable, nesting
 
 ROBOT: Final = "robot"
 ROBOT_FILES: Final = ("gateway.pem", "gateway.key", "ca.pem", "gateway.json5")
@@ -132,6 +132,22 @@ def revoke(directory: Path, name: str) -> RevocationList:
 
     The laptop's files are deleted, so that its name can be issued again. Raises ConfigError.
     """
+    with _alone(directory):
+        return _revoke(directory, name)
+
+
+@contextmanager
+def _alone(directory: Path) -> Iterator[None]:
+    """Context for a change of the list: two at once would each sign a list without the other's entry."""
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(durable.locked(directory / revocation.REVOCATION_FILE))
+        except OSError as error:
+            raise ConfigError(f"cannot write in {directory}: {error.strerror}") from error
+        yield
+
+
+def _revoke(directory: Path, name: str) -> RevocationList:
     known = revoked(directory)
     before = known.entries if known else ()
     laptops = (each for each in expiries(directory) if each.role in LAPTOP_ROLES)
@@ -159,8 +175,10 @@ def newest(directory: Path, there: str | None) -> RevocationList:
     theirs = revocation.parse(there.encode(), [read_certificate(directory / "ca.pem")]) if there else known
     if theirs == known or (theirs.number < known.number and theirs.common_names <= known.common_names):
         return known
-    entries = {entry.common_name: entry for entry in (*theirs.entries, *known.entries)}
-    return _sign(directory, max(theirs, known, key=lambda each: each.number), entries.values())
+    with _alone(directory):
+        known = revoked(directory) or known
+        entries = {entry.common_name: entry for entry in (*theirs.entries, *known.entries)}
+        return _sign(directory, max(theirs, known, key=lambda each: each.number), entries.values())
 
 
 def _sign(directory: Path, before: RevocationList | None, entries: Iterable[Revoked]) -> RevocationList:

@@ -6,12 +6,13 @@ import os
 import re
 import shutil
 import ssl
+import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Final
+from typing import Any, Final
 
 import pytest
 from cryptography import x509
@@ -234,7 +235,7 @@ def test_who_cannot_be_revoked_and_that_a_revoked_certificate_is_not_renewed(fol
     before, pem = contents(folder), (folder / "anna.pem").read_bytes()
     for name in ("nobody", "gateway", "ca", ""):
         assert "no laptop" in fault(partial(certs.folder.revoke, folder, name))
-    assert contents(folder) == before
+    assert contents(folder) == {**before, "revoked.lock": b""}
     certs.folder.revoke(folder, "anna")
     assert "revoked already" in fault(lambda: certs.folder.revoke(folder, "operator-00"))
     assert "no laptop" in fault(lambda: certs.folder.revoke(folder, "anna2"))
@@ -275,6 +276,24 @@ def test_two_folders_that_each_revoked_somebody_are_merged(folder: Path) -> None
     both = certs.folder.newest(folder, theirs.pem.decode())
     assert (both.number, set(both.common_names)) == (2, {"operator-00", "operator-01"})
     assert {each.common_name: state for each, state in certs.folder.states(folder)}["operator-01"] == "revoked"
+
+
+def test_of_two_that_revoke_somebody_at_once_none_is_lost(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    issue(folder, "anna", "bert")
+    second, sign = threading.Thread(target=certs.folder.revoke, args=(folder, "bert")), revocation.sign
+
+    def sign_later(*args: Any) -> RevocationList:
+        if second.ident is None:
+            second.start()
+            second.join(0.2)  # it waits for the first
+        return sign(*args)
+
+    monkeypatch.setattr(revocation, "sign", sign_later)
+    certs.folder.revoke(folder, "anna")
+    second.join()
+    found = certs.folder.revoked(folder)
+    assert found is not None
+    assert (found.number, sorted(found.common_names)) == (2, ["operator-00", "operator-01"])
 
 
 # ---- on the robot
