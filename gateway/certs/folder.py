@@ -143,7 +143,9 @@ def _alone(directory: Path) -> Iterator[None]:
         try:
             stack.enter_context(durable.locked(directory / revocation.REVOCATION_FILE))
         except OSError as error:
-            raise ConfigError(f"cannot write in {directory}: {error.strerror}") from error
+            raise ConfigError(
+                f"cannot write in {directory}: {error.strerror}; give the folder of `certs init`"
+            ) from error
         yield
 
 
