@@ -127,15 +127,6 @@ def renew(directory: Path, name: str, *, hosts: Sequence[str] = (), days: int = 
     return describe(path)
 
 
-def revoke(directory: Path, name: str) -> RevocationList:
-    """Revoke a laptop, by its name or its common name (`operator-07`); return the new list.
-
-    The laptop's files are deleted, so that its name can be issued again. Raises ConfigError.
-    """
-    with _alone(directory):
-        return _revoke(directory, name)
-
-
 @contextmanager
 def _alone(directory: Path) -> Iterator[None]:
     """Context for a change of the list: two at once would each sign a list without the other's entry."""
@@ -149,21 +140,26 @@ def _alone(directory: Path) -> Iterator[None]:
         yield
 
 
-def _revoke(directory: Path, name: str) -> RevocationList:
-    known = revoked(directory)
-    before = known.entries if known else ()
-    laptops = (each for each in expiries(directory) if each.role in LAPTOP_ROLES)
-    found = next((each for each in laptops if name in (each.name, each.common_name)), None)
-    if not found and any(name in (entry.name, entry.common_name) for entry in before):
-        raise ConfigError(f"{name} is revoked already")
-    if not found and access.role_of(name) == name:
-        raise ConfigError(f"there is no laptop {name!r}: `hexapod-gateway certs list --dir {directory}` names them")
-    entry = (found.common_name, found.name, found.serial) if found else (name, "", _NO_SERIAL)
-    made = _sign(directory, known, (*before, Revoked(*entry, now_utc())))
-    for path in directory.glob(f"{found.path.stem}.*") if found else ():
-        if path.suffix in (".pem", ".key", ".json5"):
-            path.unlink()
-    return made
+def revoke(directory: Path, name: str) -> RevocationList:
+    """Revoke a laptop, by its name or its common name (`operator-07`); return the new list.
+
+    The laptop's files are deleted, so that its name can be issued again. Raises ConfigError.
+    """
+    with _alone(directory):
+        known = revoked(directory)
+        before = known.entries if known else ()
+        laptops = (each for each in expiries(directory) if each.role in LAPTOP_ROLES)
+        found = next((each for each in laptops if name in (each.name, each.common_name)), None)
+        if not found and any(name in (entry.name, entry.common_name) for entry in before):
+            raise ConfigError(f"{name} is revoked already")
+        if not found and access.role_of(name) == name:
+            raise ConfigError(f"there is no laptop {name!r}: `hexapod-gateway certs list --dir {directory}` names them")
+        entry = (found.common_name, found.name, found.serial) if found else (name, "", _NO_SERIAL)
+        made = _sign(directory, known, (*before, Revoked(*entry, now_utc())))
+        for path in directory.glob(f"{found.path.stem}.*") if found else ():
+            if path.suffix in (".pem", ".key", ".json5"):
+                path.unlink()
+        return made
 
 
 def newest(directory: Path, there: str | None) -> RevocationList:
