@@ -42,6 +42,8 @@ class CameraServer(Closing):
         """Nothing more is sent while it is set; connections stay open."""
         self.answer: Callable[[BaseHTTPRequestHandler], object] | None = None
         self.requests = 0
+        self.open = 0
+        """Requests that are being answered."""
         self._size = size
         self._ended = threading.Event()
         self._numbers = itertools.count(1)
@@ -52,10 +54,13 @@ class CameraServer(Closing):
 
             def do_GET(self) -> None:
                 server.requests += 1
+                server.open += 1
                 try:
                     (server.answer or server.stream)(self)
                 except OSError:
                     self.close_connection = True
+                finally:
+                    server.open -= 1
 
             def log_message(self, *_: Any) -> None:
                 """Silent."""

@@ -105,8 +105,7 @@ class Console:
         self._showing.add(websocket)
         try:
             await websocket.prepare(request)
-            with camera.shown():
-                await self._send_pictures(websocket, session, camera, page)
+            await self._send_pictures(websocket, session, camera, page)
         except (ConnectionError, TimeoutError):
             pass
         except EndError as ends:

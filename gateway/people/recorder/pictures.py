@@ -21,14 +21,13 @@ def fetched(found: Mapping[str, Camera], put: Callable[[str, bytes, int], None])
     async def follow(camera: Camera) -> None:
         newest: Picture | None = None
         trouble = ""
-        with camera.shown():
-            while not ended.is_set():
-                if (newer := await camera.newer(newest, LOOK_S)) is not None:
-                    newest = newer
-                    put(camera.name, *newer)
-                if camera.trouble != trouble:
-                    trouble = camera.trouble
-                    hint(trouble or f"The camera {camera.name} sends pictures again.")
+        while not ended.is_set():
+            if (newer := await camera.newer(newest, LOOK_S)) is not None:
+                newest = newer
+                put(camera.name, *newer)
+            if camera.trouble != trouble:
+                trouble = camera.trouble
+                hint(trouble or f"The camera {camera.name} sends pictures again.")
 
     async def follow_all() -> None:
         await asyncio.gather(*map(follow, found.values()))

@@ -1,4 +1,4 @@
-"""Cameras: MJPEG over HTTP, fetched once for all pages, while a page shows it. Only the newest picture is kept.
+"""Cameras: MJPEG over HTTP, fetched once for all pages, while somebody asks for it. Only the newest picture is kept.
 
 A picture's age counts from its arrival. Added is the age that the server states: µStreamer's `X-UStreamer-Latency`
 (seconds since it was taken; with `?extra_headers=1`), and its delay by `X-Timestamp` (the server's clock when it was
@@ -9,8 +9,8 @@ last one while its camera is stuck.
 import asyncio
 import re
 import time
-from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
+from contextlib import suppress
 from email.message import Message
 from email.parser import HeaderParser
 from typing import Final, NamedTuple
@@ -32,12 +32,13 @@ SILENT_S: Final = 5.0
 """The longest wait for a picture, also for the first."""
 AGAIN_S: Final = 1.0
 """Pause before a camera is tried again."""
+UNASKED_S: Final = 5.0
+"""How long a camera is still fetched after the last question for a picture."""
 DRIFT: Final = 200e-6
 """Twice the error of a bad crystal, since two clocks drift apart."""
 MAX_LATE_NS: Final = 5 * NS_PER_S
 """A picture that is later by its server's clock than this: that clock was set. A new connection begins anew."""
 UNNAMED: Final = "camera"
-_TOO_LARGE: Final = "sends pictures of more than 1 MB; set a lower resolution or quality"
 
 _NAMED: Final = re.compile(r"(?P<name>[A-Za-z0-9_-]{1,20})=(?P<url>https?://.*)", re.DOTALL)
 
@@ -53,40 +54,42 @@ class Picture(NamedTuple):
     taken_ns: int
 
 
-class StreamParts:
-    """The parts of a multipart stream, one after the other. At most a picture is in memory."""
+async def stream_parts(more: Callable[[], Awaitable[bytes]], boundary: str) -> AsyncIterator[tuple[Message, bytes]]:
+    """Yield the headers and the JPEG of each part of a multipart stream. At most a picture is in memory.
 
-    def __init__(self, more: Callable[[], Awaitable[bytes]], boundary: str) -> None:
-        """`more` returns the stream's next bytes. Some servers have the dashes in the boundary already."""
-        self._more = more
-        self._delimiter = b"--" + boundary.strip("-").encode("latin-1", "replace")
-        self._bytes = bytearray()
+    `more` returns the stream's next bytes, none at its end. Raises CameraError for anything else, and what `more` does.
+    """
+    delimiter = b"--" + boundary.strip("-").encode("latin-1", "replace")  # some servers' boundary has the dashes
+    unread, allowance = bytearray(), RateLimit(BYTES_A_SECOND, BYTES_A_SECOND)
 
-    async def next(self) -> tuple[Message, bytes]:
-        """Return a part's headers and its JPEG. Raises CameraError for anything else, and what `more` raises."""
-        await self._take(self._delimiter, MAX_HEAD_BYTES, "sends no picture that begins")
-        head = await self._take(b"\r\n\r\n", MAX_HEAD_BYTES, "sends no picture that begins")
-        headers = HeaderParser().parsestr(head.partition(b"\r\n")[2].decode("latin-1"))
-        stated = headers.get("content-length", "")
-        end = 4 + int(stated) if stated.isascii() and stated.isdigit() else b"\r\n" + self._delimiter
-        if headers.get_content_type() in ("image/jpeg", "image/jpg"):
-            jpeg = (await self._take(end, MAX_JPEG_BYTES, _TOO_LARGE))[4:]
-            if jpeg.startswith(b"\xff\xd8"):
-                return headers, jpeg
-        raise CameraError("sends something other than JPEGs")
-
-    async def _take(self, end: bytes | int, most: int, why: str) -> bytes:
-        """Take the bytes before the mark `end`, or `end` bytes. Raise CameraError with `why` for more than `most`."""
+    async def take(end: bytes | int, most: int, why: str) -> bytes:
+        """Return the bytes before the mark `end`, or `end` bytes. Raise CameraError with `why` for more than `most`."""
         while True:
-            at = self._bytes.find(end) if isinstance(end, bytes) else end
-            if (at if at >= 0 else len(self._bytes)) > most:
+            at = unread.find(end) if isinstance(end, bytes) else end
+            if (at if at >= 0 else len(unread)) > most:
                 raise CameraError(why)
-            if 0 <= at <= len(self._bytes):
-                break
-            self._bytes += await self._more()
-        found = bytes(self._bytes[:at])
-        del self._bytes[:at]
-        return found
+            if 0 <= at <= len(unread):
+                found = bytes(unread[:at])
+                del unread[:at]
+                return found
+            if not (data := await more()):
+                raise CameraError("has ended its stream")
+            unread.extend(data)
+            if not allowance.take(time.monotonic_ns(), len(data)):
+                await asyncio.sleep(len(data) / BYTES_A_SECOND)
+
+    while True:
+        await take(delimiter, MAX_HEAD_BYTES, "sends no picture that begins")
+        head = await take(b"\r\n\r\n", MAX_HEAD_BYTES, "sends no picture that begins")
+        headers = HeaderParser().parsestr(head.partition(b"\r\n")[2].decode("latin-1"))
+        if headers.get_content_type() not in ("image/jpeg", "image/jpg"):
+            raise CameraError("sends something other than JPEGs")
+        stated = headers.get("content-length", "")
+        end = 4 + int(stated) if stated.isascii() and stated.isdigit() else b"\r\n" + delimiter
+        body = await take(end, MAX_JPEG_BYTES, "sends pictures of more than 1 MB; set a lower resolution or quality")
+        if not (jpeg := body[4:]).startswith(b"\xff\xd8"):
+            raise CameraError("sends something other than JPEGs")
+        yield headers, jpeg
 
 
 class Ages:
@@ -123,29 +126,18 @@ class Camera:
     def __init__(self, name: str, url: URL) -> None:
         self.name = name
         self._url = url
-        self._viewers = 0
+        self._until_s = 0.0
         self._fetching: asyncio.Task[None] | None = None
         self._newest: Picture | None = None
         self._changed = asyncio.Condition()
         self.trouble = ""
         """Why no picture comes, in one sentence; "" while pictures come."""
 
-    @contextmanager
-    def shown(self) -> Iterator[None]:
-        """Fetch its pictures within the block."""
-        self._viewers += 1
-        if self._fetching is None:
-            self._fetching = asyncio.get_running_loop().create_task(self._run())
-        try:
-            yield
-        finally:
-            self._viewers -= 1
-            if not self._viewers:
-                self._fetching.cancel()
-                self._fetching = self._newest = None
-
     async def newer(self, than: Picture | None, timeout_s: float) -> Picture | None:
-        """Wait for a newer picture. Return None if none comes in time."""
+        """Wait for a newer picture, and fetch pictures for `UNASKED_S` more. Return None if none comes in time."""
+        self._until_s = time.monotonic() + timeout_s + UNASKED_S
+        if self._fetching is None or self._fetching.done():
+            self._fetching = asyncio.create_task(self._run())
         with suppress(TimeoutError):
             async with asyncio.timeout(timeout_s), self._changed:
                 await self._changed.wait_for(lambda: self._newest is not None and self._newest is not than)
@@ -153,52 +145,41 @@ class Camera:
         return None
 
     async def _run(self) -> None:
-        # No cookies, no proxies of the environment, nothing that unpacks itself to any size.
-        async with aiohttp.ClientSession(
-            cookie_jar=aiohttp.DummyCookieJar(), auto_decompress=False, timeout=aiohttp.ClientTimeout(total=None)
-        ) as session:
-            while True:
-                try:
-                    await self._fetch(session)
-                except CameraError as error:
-                    self._explain(str(error))
-                except TimeoutError:
-                    self._explain(f"has sent no picture for {SILENT_S:g} s")
-                except (aiohttp.ClientError, OSError, ValueError):
-                    self._explain("cannot be reached, or its stream broke off")
-                await asyncio.sleep(AGAIN_S)
+        while time.monotonic() < self._until_s:
+            try:
+                await self._fetch()
+            except CameraError as error:
+                self._explain(str(error))
+            except TimeoutError:
+                self._explain(f"has sent no picture for {SILENT_S:g} s")
+            except (aiohttp.ClientError, OSError, ValueError):
+                self._explain("cannot be reached, or its stream broke off")
+            await asyncio.sleep(AGAIN_S)
+        self._newest = None
 
     def _explain(self, why: str) -> None:
         self.trouble = f"The camera {self.name} {why}."
 
-    async def _fetch(self, session: aiohttp.ClientSession) -> None:
+    async def _fetch(self) -> None:
         """Raises CameraError, also if the stream has ended, TimeoutError, aiohttp.ClientError, OSError, ValueError."""
-        async with asyncio.timeout(SILENT_S) as silence, session.get(self._url, allow_redirects=False) as answer:
-            await self._read(answer, silence)
-
-    async def _read(self, answer: aiohttp.ClientResponse, silence: asyncio.Timeout) -> None:
-        if answer.status // 100 == 3:
-            raise CameraError("redirects to another address; name that one")
-        if answer.status != 200:
-            raise CameraError(f"answers with HTTP status {answer.status}")
-        kind = HeaderParser().parsestr(f"content-type: {answer.headers.get('content-type', '')}")
-        boundary = kind.get_boundary()
-        if kind.get_content_maintype() != "multipart" or not boundary:
-            raise CameraError("sends no MJPEG stream; name the stream's address, such as http://…:8080/stream")
-        ages, allowance = Ages(), RateLimit(BYTES_A_SECOND, BYTES_A_SECOND)
-
-        async def more() -> bytes:
-            if not (data := await answer.content.readany()):
-                raise CameraError("has ended its stream")
-            if not allowance.take(time.monotonic_ns(), len(data)):
-                await asyncio.sleep(len(data) / BYTES_A_SECOND)
-            return data
-
-        parts = StreamParts(more, boundary)
-        while True:
-            headers, jpeg = await parts.next()
-            silence.reschedule(asyncio.get_running_loop().time() + SILENT_S)
-            await self._take(headers, jpeg, ages.taken_ns(headers, time.monotonic_ns()))
+        async with (
+            asyncio.timeout(SILENT_S) as silence,
+            aiohttp.ClientSession(auto_decompress=False, timeout=aiohttp.ClientTimeout()) as session,
+            session.get(self._url, allow_redirects=False) as answer,
+        ):
+            if answer.status // 100 == 3:
+                raise CameraError("redirects to another address; name that one")
+            if answer.status != 200:
+                raise CameraError(f"answers with HTTP status {answer.status}")
+            kind = f"content-type: {answer.headers.get('content-type', '')}"
+            if not (boundary := HeaderParser().parsestr(kind).get_boundary()):
+                raise CameraError("sends no MJPEG stream; name the stream's address, such as http://…:8080/stream")
+            ages = Ages()
+            async for headers, jpeg in stream_parts(answer.content.readany, boundary):
+                silence.reschedule(asyncio.get_running_loop().time() + SILENT_S)
+                await self._take(headers, jpeg, ages.taken_ns(headers, time.monotonic_ns()))
+                if time.monotonic() > self._until_s:
+                    return
 
     async def _take(self, headers: Message, jpeg: bytes, taken_ns: int) -> None:
         if headers.get("x-ustreamer-online", "true") != "true":
@@ -216,16 +197,16 @@ def cameras(named: Sequence[str]) -> dict[str, Camera]:
     for each in named:
         match = _NAMED.fullmatch(each)
         name, text = (match["name"], match["url"]) if match else (UNNAMED, each)
+        if name in found:
+            raise ConfigError(f"--camera {name}: two cameras need two names, such as --camera front=http://…")
         with suppress(ValueError):
             url = URL(text)
-            if url.scheme in ("http", "https") and url.host and text.isprintable() and name not in found:
+            if url.scheme in ("http", "https") and url.host and text.isprintable():
                 found[name] = Camera(name, url)
-                continue
-        raise ConfigError(
-            f"--camera {name}: two cameras need two names, such as --camera front=http://…"
-            if name in found
-            else "--camera is no URL of an MJPEG stream, such as http://127.0.0.1:8081/stream?extra_headers=1"
-        )
+        if name not in found:
+            raise ConfigError(
+                "--camera is no URL of an MJPEG stream, such as http://127.0.0.1:8081/stream?extra_headers=1"
+            )
     if len(found) > MAX_CAMERAS:
         raise ConfigError(f"--camera: {MAX_CAMERAS} cameras at most")
     return found

@@ -11,8 +11,9 @@ import pytest
 from gateway.errors import ConfigError
 from gateway.people.console.pages.page_camera import PageCamera
 from gateway.people.watching import camera
-from gateway.people.watching.camera import MAX_JPEG_BYTES, Ages, Camera, CameraError, StreamParts, cameras
+from gateway.people.watching.camera import MAX_JPEG_BYTES, Ages, Camera, CameraError, cameras, stream_parts
 from tests.support.camera_server import BOUNDARY, CameraServer, begin, jpeg, part
+from tests.support.waiting import wait_until
 
 S: Final = 1_000_000_000
 MS: Final = 1_000_000
@@ -44,9 +45,9 @@ async def cut(boundary: str, stream: bytes, chunk: int) -> AsyncIterator[bytes]:
     async def more() -> bytes:
         return next(chunks)
 
-    parts = StreamParts(more, boundary)
+    parts = stream_parts(more, boundary)
     for _ in range(2):
-        _, jpeg = await parts.next()
+        _, jpeg = await anext(parts)
         yield jpeg
 
 
@@ -156,6 +157,7 @@ def server() -> Iterator[CameraServer]:
 def _quickly(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(camera, "SILENT_S", 0.3)
     monkeypatch.setattr(camera, "AGAIN_S", 0.02)
+    monkeypatch.setattr(camera, "UNASKED_S", 0.3)
 
 
 async def trouble(found: Camera) -> str:
@@ -172,18 +174,17 @@ async def picture(found: Camera) -> camera.Picture:
     return newer
 
 
-async def test_pictures_are_fetched_once_for_all_and_only_while_a_page_shows_them(server: CameraServer) -> None:
+async def test_pictures_are_fetched_once_for_all_and_only_while_somebody_asks(server: CameraServer) -> None:
     found = cameras([server.url])["camera"]
     assert server.requests == 0
-    with found.shown(), found.shown():
-        first = await picture(found)
-        second = await found.newer(first, 20)
-        assert second is not None
-        assert second.jpeg > first.jpeg
-        assert 0 <= time.monotonic_ns() - second.taken_ns < S
+    first, _ = await asyncio.gather(picture(found), picture(found))
+    second = await found.newer(first, 0.3)
+    assert second is not None
+    assert second.jpeg > first.jpeg
+    assert 0 <= time.monotonic_ns() - second.taken_ns < S
+    await asyncio.to_thread(wait_until, lambda: not server.open)
     assert server.requests == 1
-    with found.shown():
-        assert (await picture(found)).taken_ns > second.taken_ns
+    assert (await picture(found)).taken_ns > second.taken_ns
     assert server.requests == 2
 
 
@@ -228,21 +229,19 @@ BAD: Final[dict[str, Callable[[CameraServer, BaseHTTPRequestHandler], object]]] 
 async def test_a_bad_server_is_named_in_a_sentence_and_tried_again(why: str, server: CameraServer) -> None:
     server.answer = lambda handler: BAD[why](server, handler)
     found = cameras([f"front={server.url}"])["front"]
-    with found.shown():
-        assert why in await trouble(found)
-        server.answer = None
-        await picture(found)
-        assert found.trouble == ""
+    assert why in await trouble(found)
+    server.answer = None
+    await picture(found)
+    assert found.trouble == ""
 
 
 async def test_a_camera_that_stalls_is_named_and_the_last_picture_only_gets_older(server: CameraServer) -> None:
     found = cameras([server.url])["camera"]
-    with found.shown():
-        await picture(found)
-        server.frozen.set()
-        assert "has sent no picture for" in await trouble(found)
-        server.frozen.clear()
-        await picture(found)
+    await picture(found)
+    server.frozen.set()
+    assert "has sent no picture for" in await trouble(found)
+    server.frozen.clear()
+    await picture(found)
 
 
 async def test_a_picture_that_is_sent_again_byte_for_byte_is_as_old_as_before(server: CameraServer) -> None:
@@ -255,9 +254,8 @@ async def test_a_picture_that_is_sent_again_byte_for_byte_is_as_old_as_before(se
 
     server.answer = repeats
     found = cameras([server.url])["camera"]
-    with found.shown():
-        last = await picture(found)
-        while last.jpeg != jpeg(5):
-            last = await found.newer(last, 20) or last
-        assert "has sent no picture" in await trouble(found)
-        assert (await picture(found)).taken_ns == last.taken_ns
+    last = await picture(found)
+    while last.jpeg != jpeg(5):
+        last = await found.newer(last, 20) or last
+    assert "has sent no picture" in await trouble(found)
+    assert (await picture(found)).taken_ns == last.taken_ns
