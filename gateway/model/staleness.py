@@ -45,7 +45,7 @@ STEADY_MS: Final = 5000.0
 GAP_MS: Final = 1000.0
 """A longer gap between arrivals ends a stretch of steady delay, since another burst may follow."""
 LEAST_PAUSE_MS: Final = 250.0
-"""A shorter gap is no pause of the gateway: an idle loop turns every 100 ms, on a busy machine somewhat later."""
+"""A shorter gap is no pause of the gateway: its loop turns every 100 ms, on a busy machine somewhat later."""
 
 
 @dataclass(slots=True)
@@ -80,7 +80,8 @@ class Staleness:
 
     def __init__(self, max_age_ms: float) -> None:  # mutants accepted (Forget, Step): the first pause sets it
         self._max_age_ms = max_age_ms
-        self._pause_ms = max(max_age_ms, LEAST_PAUSE_MS)
+        self.pause_ms = max(max_age_ms, LEAST_PAUSE_MS)
+        """A longer gap between two calls counts as a pause of the gateway."""
         self._sources: dict[str | None, tuple[list[_Clock], list[float]]] = {}
         """Clocks and newest instant by source; the source that was silent for longest comes first."""
         self._alive_ms = math.inf
@@ -88,7 +89,7 @@ class Staleness:
         self._paused_ms = 0.0
 
     def record_alive(self, now_ns: int) -> None:
-        """Record that the gateway runs. Call it ten times a second at least: a longer gap counts as a pause."""
+        """Record that the gateway runs. Call it at least twice in `pause_ms`: a longer gap counts as a pause."""
         self.too_old(None, None, now_ns, now_ns)
 
     # mutants accepted (Gt_GtE, Lt_LtE, Step): equal values; a list of one
@@ -101,7 +102,7 @@ class Staleness:
         """
         now_ms, alive_ms = now_ns / 1e6, self._alive_ms
         self._alive_ms = now_ms
-        if now_ms - alive_ms > self._pause_ms:
+        if now_ms - alive_ms > self.pause_ms:
             self._woke_ms, self._paused_ms = now_ms, now_ms - alive_ms
         if sent_ms is None:
             return self._after_a_pause(now_ms, now_ms) if self._woke_ms is not None else None

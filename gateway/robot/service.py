@@ -61,6 +61,8 @@ from schemas.telemetry import CertificateReport
 BEAT_S = 0.1
 """Period of a beat: measure the loop's lag, notify systemd, publish state and telemetry. It suits people who watch a
 page. A systemd watchdog may need a shorter period."""
+REST_BEAT_S: Final = 0.25
+"""The same while nothing runs and nobody listens: a wake of an idle processor takes half as long as a beat's work."""
 
 SERVOS_FILE: Final = "servos"
 _LINE: Final = "%020d %d\n"
@@ -71,7 +73,7 @@ logger = logging.getLogger(__name__)
 class ServosFile:
     """A file that shows whether a servo runs, for an upgrade and `setup`, which have no certificate to ask over Zenoh.
 
-    It has one line, `MONOTONIC_NS 0` or `MONOTONIC_NS 1`, written ten times a second. It is memory-mapped, so a write
+    It has one line, `MONOTONIC_NS 0` or `MONOTONIC_NS 1`, written at each beat. It is memory-mapped, so a write
     needs no system call. A line older than a second means that the service hangs.
     """
 
@@ -289,7 +291,8 @@ class _Service:
         count = partial(setattr, conductor.metrics, "sessions")
         connection_limiter = ConnectionLimiter(session, count, self.shut_out.common_names)
         self.unknown_keys = UnknownKeys(session, self.simulated.body_id)
-        self.beat: asyncio.Handle = self.loop.call_soon(self.look_after_all, self.loop.time())
+        self._beat_at(self.loop.time())
+        conductor.on_mode = partial(self.loop.call_soon_threadsafe, self.beat_soon)
         closes = [self.outbox.close, connection_limiter.close, self.upkeep.close, self.inbox.close, session.close]
         return closes if self.line is None else [*closes, self.line.close]
 
@@ -373,8 +376,20 @@ class _Service:
             self.end.because("the thread that receives from the power board is stuck")
         else:
             self.notifier.alive()
-            due_s = self.loop.time() + min(BEAT_S, self.notifier.ping_period_s or BEAT_S)
-            self.beat = self.loop.call_at(due_s, self.look_after_all, due_s)
+            rests = not wanted and self.inbox.waits and conductor.rests(REST_BEAT_S)
+            period_s = REST_BEAT_S if rests else BEAT_S
+            due_s = self.loop.time() + min(period_s, self.notifier.ping_period_s or period_s)
+            self._beat_at(due_s)
+
+    def beat_soon(self) -> None:
+        """Bring the next beat forward: a servo may run now."""
+        due_s = self.loop.time() + BEAT_S
+        if self.beat.when() > due_s and not self.beat.cancelled():
+            self.beat.cancel()
+            self._beat_at(due_s)
+
+    def _beat_at(self, due_s: float) -> None:
+        self.beat = self.loop.call_at(due_s, self.look_after_all, due_s)
 
 
 def _answer(answer: Callable[[Reply], None], _query: zenoh.Query, _ns: int, reply: Reply) -> OwnersTask:

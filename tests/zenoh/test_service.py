@@ -20,10 +20,12 @@ from gateway.onboard.serve import PAUSE_S
 from gateway.onboard.simulation_process import BoardProcess
 from gateway.people.commands.status import topics
 from gateway.robot.host.systemd import VARIABLES
+from gateway.robot.service import REST_BEAT_S, SERVOS_FILE
 from schemas import keys
 from tests.support.child import Child, frozen
 from tests.support.gateway_process import READY, Gateway, free_port, write_settings
 from tests.support.heard import frames
+from tests.support.waiting import wait_until
 
 
 def test_the_service_prints_that_it_is_ready_where_and_what_to_try_and_its_token_shows_that_it_lives(
@@ -43,6 +45,36 @@ def test_the_service_prints_that_it_is_ready_where_and_what_to_try_and_its_token
         gateway.child.kill()
         assert seen["SampleKind.DELETE"].wait(10)
         del subscriber
+
+
+def test_an_idle_gateway_beats_seldom_and_one_whose_legs_run_ten_times_a_second(tmp_path: Path) -> None:
+    """The first beat after a start is early, too. Each beat writes its time into a file."""
+    file = tmp_path / SERVOS_FILE
+
+    def next_beat(before: str) -> str:
+        wait_until(lambda: file.read_text() != before)
+        return file.read_text()
+
+    def periods_s(beats: int) -> Iterator[float]:
+        text = next_beat(file.read_text())
+        for _ in range(beats):
+            before, text = text, next_beat(text)
+            yield (int(text.split()[0]) - int(before.split()[0])) / 1e9
+
+    with Gateway(tmp_path, {"watchdog": {"timeout_ms": 10_000}}, env={"RUNTIME_DIRECTORY": str(tmp_path)}) as gateway:
+        assert min(periods_s(4)) > 0.9 * REST_BEAT_S
+        with gateway.client() as client:
+            after_s: list[float] = []
+            for _ in range(3):
+                beat = next_beat(file.read_text())
+                client.start_leg(1, 90, 45, 120)
+                assert next_beat(beat).split()[1] == "1"
+                after_s += [(int(file.read_text().split()[0]) - int(beat.split()[0])) / 1e9]
+                assert min(periods_s(3)) < 0.5 * REST_BEAT_S
+                client.stop(leg=1)
+                wait_until(lambda: file.read_text().split()[1] == "0")
+                next_beat(file.read_text())
+            assert min(after_s) < 0.9 * REST_BEAT_S
 
 
 def test_a_frozen_peer_holds_neither_an_answer_nor_the_end(tmp_path: Path) -> None:

@@ -110,6 +110,8 @@ class Conductor:
         self._engaged = 0  # the number of the emergency stop; 0: none is engaged
         self.on_latch: Callable[[], None] = lambda: None
         """Called as owner when an emergency stop has been engaged, after its Stops, or left."""
+        self.on_mode: Callable[[], object] = lambda: None
+        """Called as owner when the mode has changed, after the step's frames."""
         self.done = asyncio.Event()
         """Set after `shut_down`, once the Stops and their repeats are written."""
 
@@ -185,8 +187,18 @@ class Conductor:
         while self.messages.estops:
             self._emergency_stop(self.messages.estops.popleft(), instant_ns)
 
+    def rests(self, gap_s: float) -> bool:
+        """Return whether nothing needs a beat within `gap_s`.
+
+        Nothing runs, neither a board nor a wire with cycles can fall silent, and a late beat does not look like a pause
+        of the process.
+        """
+        if self.supervisor.mode is not Mode.IDLE or self.supply is not None or self.bus.cycle is not None:
+            return False
+        return self._staleness is None or 2 * gap_s * 1000 <= self._staleness.pause_ms
+
     def record_alive(self) -> int:
-        """Return now (ns) and record that the process runs. Call it ten times a second: a gap shows that it did not."""
+        """Return now (ns) and record that the process runs. Call it at each beat: a gap shows that it did not."""
         now_ns = self.clock()
         if self._staleness is not None:
             self._staleness.record_alive(now_ns)
@@ -373,6 +385,7 @@ class Conductor:
             self.on_latch()
         if self.supervisor.mode is not reports.published_mode:
             reports.publish_mode()
+            self.on_mode()
         self._arm()
 
     # ---- the bus

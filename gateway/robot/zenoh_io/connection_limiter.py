@@ -20,7 +20,6 @@ from contextlib import suppress
 from typing import Any, Final
 
 import zenoh
-from zenoh.handlers import RingChannel
 
 from gateway.certs import BUTTON, OPERATOR
 from gateway.certs.access import role_of
@@ -47,8 +46,10 @@ class ConnectionLimiter:
         self._sessions: list[str] = []
         """The Zenoh ids, in the order of their arrival."""
         self._warnings = RateLimit(1 / SAY_AGAIN_S, 1)
-        # A ring for one event is enough: each event has all links read.
-        self._listener = session.info.declare_link_events_listener(RingChannel(1), history=True)
+        # No ring: Zenoh's `recv` wakes ten times a second. One mark is enough: after each event all links are read.
+        self._changed = threading.Event()
+        self._closed = False
+        self._listener = session.info.declare_link_events_listener(lambda _: self._changed.set(), history=True)
         self.thread = threading.Thread(target=self._run, name="connection_limiter", daemon=True)
         self.thread.start()
 
@@ -56,14 +57,15 @@ class ConnectionLimiter:
         """End the thread. Blocks, so do not call it on the loop's thread."""
         with suppress(zenoh.ZError):
             self._listener.undeclare()
+        self._closed = True
+        self._changed.set()
         self.thread.join()
 
     def _run(self) -> None:
         prefer_thread(PAGE_PRIORITY)
-        events = self._listener.handler
-        with suppress(zenoh.ZError):  # the ring closes with the session
-            while True:
-                events.recv()
+        with suppress(zenoh.ZError):  # the session is closed
+            while self._changed.wait() and not self._closed:
+                self._changed.clear()
                 self._check_links()
 
     def _check_links(self) -> None:

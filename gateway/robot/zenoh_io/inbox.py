@@ -170,6 +170,11 @@ class Inbox(Messages):
         progress = [receiver.makes_progress() for receiver in self._receivers]  # each counts its beats
         return all(progress) and all(worker.runs for worker in self._workers)
 
+    @property
+    def waits(self) -> bool:
+        """Whether no receiver thread handles an item."""
+        return not any(receiver.at_work for receiver in self._receivers)
+
     def close(self) -> None:
         """Undeclare everything, which ends the receiver threads, and join them.
 

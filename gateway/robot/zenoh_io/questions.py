@@ -36,8 +36,10 @@ MAX_WITHOUT_TOKEN: Final = 32
 POLL_AGAIN_S: Final = (0.0002, 0.001, 0.004, 0.016, 0.064)
 """Delays of further polls, for a wakeup whose key's ring was empty. Zenoh delivers to the wakeup and to the ring one
 after the other, and its thread may be interrupted in between."""
-POLL_S: Final = 1.0
-"""The time between polls without a wakeup: a query may come long after its own."""
+POLL_LATER_S: Final = (*POLL_AGAIN_S, 0.25, 1.0)
+"""The same for questions, which nothing else polls."""
+POLL_S: Final = 10.0
+"""The time between polls without a wakeup. Each wakes an idle processor, which costs more than the poll."""
 MOST_WAKES: Final = 64
 """More wakeups wait only in a flood, which goes on waking."""
 MOST_ENDING: Final = 4096
@@ -90,8 +92,7 @@ class QuestionRing:
 
 
 class WokenRing:
-    """A ring of queries that one thread waits for, with one poll a second; Zenoh's `recv` wakes ten times a second to
-    look for signals."""
+    """A ring of queries that one thread waits for, and polls seldom; Zenoh's `recv` wakes ten times a second."""
 
     def __init__(self, ring: Handler[zenoh.Query] | QuestionRing) -> None:
         self._ring = ring
@@ -112,5 +113,5 @@ class WokenRing:
             with suppress(Empty):
                 if not self._wakes.get(timeout=next(pauses_s, POLL_S)):
                     raise zenoh.ZError("the ring is closed")
-                pauses_s = iter(POLL_AGAIN_S)
+                pauses_s = iter(POLL_LATER_S)
         return found

@@ -53,6 +53,11 @@ class ReceiverThread:
         self.thread = threading.Thread(target=self._wait, name=name, daemon=True)
         self.thread.start()
 
+    @property
+    def at_work(self) -> bool:
+        """Whether the thread handles an item. Only beats show whether it is stuck."""
+        return self._in_hand_ns is not None
+
     def makes_progress(self) -> bool:
         """Return whether the thread runs and makes progress. Call it once a beat."""
         in_hand_ns = self._in_hand_ns

@@ -1,7 +1,7 @@
 """Finds messages on keys that nothing reads, such as a misspelt command key.
 
 Without this, a client that misspells a key would get no error. A small ring keeps the newest messages below `hexapod/`,
-and the gateway reads it ten times a second. In a flood Zenoh overwrites the oldest, which takes no Python time.
+and each beat reads it. In a flood Zenoh overwrites the oldest, which takes no Python time.
 """
 
 import difflib

@@ -50,7 +50,7 @@ class Publisher:
 def staleness() -> Staleness:
     """The loop turned all the time, also between the commands of a test."""
     found = Staleness(MAX_AGE_MS)
-    found._pause_ms = math.inf
+    found.pause_ms = math.inf
     return found
 
 
