@@ -5,7 +5,6 @@ import getpass
 import logging
 import os
 import socket
-import struct
 import sys
 import threading
 import time
@@ -33,7 +32,7 @@ from gateway.people.console.link import STACK_BYTES, GatewayLink, Shared
 from gateway.people.console.pages.page_messages import ROLES, Role, json_of, least
 from gateway.people.console.pages.page_tasks import EndError, Stops, send_stopping
 from gateway.people.console.pages.pages import Page, Pages
-from gateway.people.console.server.auth import CAMERA, Auth
+from gateway.people.console.server.auth import CAMERA, HEADERS, Auth
 from gateway.people.console.server.listener import MAX_CONNECTIONS, HttpListener, WebSocket
 from gateway.people.console.server.sessions import LINK_S, Entry, Sessions
 from gateway.people.console.server.site import LOCALHOST, Options, Site, listening
@@ -41,7 +40,8 @@ from gateway.people.terminal import hint, on_end_signals, say
 from gateway.people.walking.gaits import GAITS
 from gateway.people.walking.planning import lying_deg
 from gateway.people.walking.robot import Robot
-from gateway.people.watching.camera import MAX_CAMERAS, Camera, Picture, cameras
+from gateway.people.watching.camera import MAX_CAMERAS, Camera, cameras
+from gateway.rate_limit import NS_PER_MS
 from gateway.zenoh.config import client_config, get
 
 MAX_PAGES: Final = 64
@@ -51,10 +51,8 @@ MAX_CLOSING: Final = 16
 SIT_S: Final = 3.5
 """The longest wait for a robot that sits down, which takes 2 s. systemd kills the console 5 s after its signal."""
 CHECK_S: Final = 1.0
-"""The period in which each page's session is checked."""
+"""The period in which each page's session is checked, and the longest wait for a picture."""
 SIGNED_OUT: Final = "signed out"
-NEXT: Final = "next"
-"""A page's text on a camera's WebSocket: it shows the picture that it has, and wants a newer one."""
 
 
 class Console:
@@ -69,19 +67,15 @@ class Console:
         self._shared = shared
         self._cameras = found
         self._commands = commands
-        self._showing: set[WebSocket] = set()
-        """Those of cameras."""
-        self._by_number: dict[tuple[str, str], Page] = {}
-        """The open pages, by session and number."""
         self._lying: dict[int, float] = {}
         with suppress(WalkError):  # one that cannot lie
             self._lying = lying_deg(Robot(shared.geometry))
         self._open: set[WebSocket] = set()
 
     async def serve(self, request: web.BaseRequest, session: Entry) -> web.StreamResponse:
-        """Answer a page's WebSocket; return once the WebSocket has ended."""
+        """Answer a page's WebSocket, and return once that has ended; or its request for a picture."""
         if request.path.startswith(CAMERA):
-            return await self._serve_camera(request, session)
+            return await self._serve_picture(request, session)
         if len(self._open) >= MAX_PAGES + MAX_CLOSING:
             return web.Response(status=503)
         websocket = WebSocket()
@@ -96,54 +90,40 @@ class Console:
             self._open.discard(websocket)
         return websocket
 
-    async def _serve_camera(self, request: web.BaseRequest, session: Entry) -> web.StreamResponse:
-        camera = self._cameras.get(request.path.removeprefix(CAMERA))
-        if camera is None or len(self._showing) >= MAX_PAGES:
-            return web.Response(status=404 if camera is None else 503)
-        page = self._by_number.get((session.sha256, request.query.get("page", "")))
-        websocket = WebSocket()
-        self._showing.add(websocket)
-        try:
-            await websocket.prepare(request)
-            await self._send_pictures(websocket, session, camera, page)
-        except (ConnectionError, TimeoutError):
-            pass
-        except EndError as ends:
-            await websocket.end(WSCloseCode.POLICY_VIOLATION, str(ends))
-        finally:
-            self._showing.discard(websocket)
-        return websocket
-
-    async def _send_pictures(self, websocket: WebSocket, session: Entry, camera: Camera, page: Page | None) -> None:
-        """Send one picture for each `next`; while there is none, the reason as text. Raises what `WebSocket` does."""
-        sent: Picture | None = None
-        while True:
-            if await websocket.take() != NEXT:
-                raise EndError(f"a page sends {NEXT} here")
-            if sent is not None and page is not None:
-                page.camera.confirm(camera.name, sent.taken_ns)
-            while (found := await camera.newer(sent, CHECK_S)) is None:
-                self._check_once(session)
-                await websocket.put(camera.trouble)
-            self._check_once(session)
-            age_ms = (time.monotonic_ns() - found.taken_ns) / 1e6
-            await websocket.put_picture(struct.pack("<f", age_ms) + found.jpeg)
-            sent = found
+    async def _serve_picture(self, request: web.BaseRequest, session: Entry) -> web.StreamResponse:
+        """Answer with a newer picture than the page has, or with the reason why there is none, within `CHECK_S`."""
+        asked_ns, name = time.monotonic_ns(), request.path.removeprefix(CAMERA)
+        page = next((each for each in self._pages if each.secret == request.query.get("page")), None)
+        if page is None or name not in self._cameras or page.picture_asked.locked():
+            return web.Response(status=403 if page is None else 409)
+        async with page.picture_asked:
+            page.camera.confirm(name, request.query.get("shown", ""))
+            found = await self._cameras[name].newer(page.camera.sent, CHECK_S)
+            if not self._sessions.still_valid(session):
+                return web.Response(status=403)
+            if found is None:
+                return web.Response(status=202, text=self._cameras[name].trouble, headers=HEADERS)
+            page.camera.sent = found
+            taken_ms = (found.taken_ns - asked_ns) / NS_PER_MS
+            about = {"X-Picture": found.number, "X-Taken-Ms": f"{taken_ms:.1f}", "Content-Type": "image/jpeg"}
+            response = web.Response(body=found.jpeg, headers=HEADERS | about)
+            with suppress(ConnectionError):
+                await response.prepare(request)
+                await response.write_eof()
+        return response
 
     async def close(self) -> None:
         """Close all pages, and release their leases. No page is waited for longer than a second (`WebSocket.end`)."""
         pages = [*self._pages]
         why = WSCloseCode.SERVICE_RESTART, "the console ends"
-        ends = [websocket.end(*why) for websocket in self._open | self._showing if websocket.prepared]
+        ends = [websocket.end(*why) for websocket in self._open if websocket.prepared]
         await asyncio.gather(*ends, return_exceptions=True)
         await asyncio.gather(*(page.release() for page in pages))
 
     async def _serve_page(self, websocket: WebSocket, session: Entry, tab: str) -> None:
         """`tab`: the browser's, by a name that it gave itself: the same after a reload. Empty: it gave none."""
         tab = f"{session.sha256} {tab[:32]}" if tab.isalnum() else ""
-        number = self._pages.next_number()
-        page = Page(number, session.role, self._shared, self._pages.former(tab))
-        self._by_number[session.sha256, str(number)] = page
+        page = Page(self._pages.next_number(), session.role, self._shared, self._pages.former(tab))
         hello = {
             "type": "hello",
             "role": session.role,
@@ -155,7 +135,7 @@ class Console:
             "lying": self._lying,
             "gaits": tuple(GAITS),
             "last_id": page.last_id,
-            "page": number,
+            "page": page.secret,
             "cameras": tuple(self._cameras),
             "stale_ms": self._shared.stale_ms,
             "commands": self._commands,
@@ -174,7 +154,6 @@ class Console:
             why = str(ends.exceptions[0])
         finally:
             self._pages.remove(page, tab)
-            del self._by_number[session.sha256, str(number)]
             page.close()
         if why:
             await websocket.end(WSCloseCode.POLICY_VIOLATION, why)
@@ -190,17 +169,14 @@ class Console:
 
     async def _check(self, session: Entry) -> None:
         while True:
-            self._check_once(session)
+            if not self._sessions.still_valid(session):
+                raise EndError(SIGNED_OUT)
             await asyncio.sleep(CHECK_S)
-
-    def _check_once(self, session: Entry) -> None:
-        if not self._sessions.still_valid(session):
-            raise EndError(SIGNED_OUT)
 
 
 OWN_DESCRIPTORS: Final = 96
 """Descriptors for the Zenoh session, four more sessions for STOP ALL, four for other Stops, a reserve, and files."""
-DESCRIPTORS: Final = MAX_CONNECTIONS + 2 * MAX_PAGES + MAX_CLOSING + MAX_CAMERAS + OWN_DESCRIPTORS
+DESCRIPTORS: Final = MAX_CONNECTIONS + MAX_PAGES + MAX_CLOSING + MAX_CAMERAS + OWN_DESCRIPTORS
 """More than the places for connections, so that no flood of connections takes all."""
 
 _log: Final = logging.getLogger(__name__)

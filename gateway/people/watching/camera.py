@@ -53,6 +53,11 @@ class Picture(NamedTuple):
     jpeg: bytes
     taken_ns: int
 
+    @property
+    def number(self) -> str:
+        """Distinguishes the pictures of a camera."""
+        return str(self.taken_ns)
+
 
 async def stream_parts(more: Callable[[], Awaitable[bytes]], boundary: str) -> AsyncIterator[tuple[Message, bytes]]:
     """Yield the headers and the JPEG of each part of a multipart stream. At most a picture is in memory.

@@ -100,14 +100,19 @@ def test_a_page_is_barred_by_the_picture_that_it_shows() -> None:
     assert page.bars(0) == ""
     page.show("front")
     assert "no picture was shown yet" in page.bars(0)
-    page.confirm("rear", 0)
+    page.sent = camera.Picture(ONE, 0)
+    page.confirm("rear", page.sent.number)
+    page.confirm("front", camera.Picture(ONE, 1).number)
+    page.confirm("front", "")
     assert "no picture was shown yet" in page.bars(0)
-    page.confirm("front", 0)
+    page.confirm("front", page.sent.number)
     page.show("front")
     assert page.bars(499 * MS) == ""
     assert page.bars(500 * MS) == "the picture was 0.5 s old"
     assert page.bars(720 * MS) == "the picture was 0.7 s old"
+    number = page.sent.number
     page.show("rear")
+    page.confirm("rear", number)
     assert "no picture was shown yet" in page.bars(0)
     page.show(None)
     assert page.bars(720 * MS) == ""

@@ -1,15 +1,13 @@
 // @ts-check
 /**
- * A camera's picture, by a WebSocket of its own. The page asks for the next picture once it shows the newest. So one
- * picture at most is on its way, and the console knows what this page shows: by an old one it moves nothing.
+ * A camera's picture. The page asks for the next one once it shows the newest, whose number it states. So one picture at
+ * most is on its way, and the console knows what this page shows: by an old one it moves nothing.
  */
 
 import { attribute, byId, show, text } from "./dom.js";
-import { proved } from "./key.js";
 
-const PATIENCE_MS = 5000;
-const AGAIN_MS = 500;
-const AGE_BYTES = 4;
+const PATIENCE_MS = 30_000;
+const AGAIN_MS = 250;
 
 export class Camera {
   /** @param {import("./link.js").Link} link @param {import("./model.js").Model} model @param {import("./words.js").Say} say */
@@ -19,11 +17,10 @@ export class Camera {
     /** The camera that is shown; "": none, or the window has no room. */
     this.name = "";
     this.view = 0;
-    /** Numbers what is shown: a picture for an earlier number is late. */
-    this.turn = 0;
     /** When the picture that is shown was taken, at the earliest. */
     this.takenMs = -Infinity;
     this.trouble = "";
+    this.asking = new AbortController();
     this.canvas = byId("camera", HTMLCanvasElement);
     byId("camera-next").addEventListener("click", () => {
       this.view += 1;
@@ -32,10 +29,12 @@ export class Camera {
       say(name ? `The camera ${name}, ${alone ? "alone" : "with the robot"}.` : "No camera is shown, so the walk does not depend on one.");
     });
     show(byId("camera-next"), true);
+    void this.#follow();
   }
 
   /** The console has begun to serve this page. */
   begin() {
+    this.asking.abort(); // it may be on a network that is gone
     this.name = "";
     this.#look();
   }
@@ -77,54 +76,38 @@ export class Camera {
     const seen = this.canvas.checkVisibility() ? name : "";
     if (seen === this.name || !this.link.sendNow({ type: "camera", shown: seen || null })) return;
     [this.name, this.takenMs, this.trouble] = [seen, -Infinity, ""];
-    this.turn += 1;
-    if (seen) void this.#follow(this.turn);
   }
 
-  /** @param {number} turn */
-  async #follow(turn) {
-    while (this.turn === turn) {
-      await this.#show(turn).catch(() => undefined); // its age shows that
-      await new Promise((resolve) => setTimeout(resolve, AGAIN_MS));
+  async #follow() {
+    for (let number = ""; ; ) {
+      number = await this.#show(number).catch(() => ""); // its age shows that
+      if (!number) await new Promise((resolve) => setTimeout(resolve, AGAIN_MS));
     }
   }
 
-  /** Show pictures until the connection ends, or this page is hidden. Throws Error. @param {number} turn */
-  async #show(turn) {
-    const address = new URL(`camera/${this.name}`, location.href);
-    address.protocol = location.protocol === "https:" ? "wss:" : "ws:";
-    address.search = new URLSearchParams({ page: String(this.model.hello?.page), ...(await proved(PATIENCE_MS)) }).toString();
-    const socket = new WebSocket(address);
-    socket.binaryType = "arraybuffer";
-    try {
-      await next(socket, "onopen");
-      while (this.turn === turn && document.visibilityState === "visible") {
-        const askedMs = performance.now() + this.model.sleptMs;
-        socket.send("next");
-        let { data } = await next(socket, "onmessage");
-        for (; typeof data === "string"; data = (await next(socket, "onmessage")).data) this.trouble = data;
-        const picture = await createImageBitmap(new Blob([data.slice(AGE_BYTES)], { type: "image/jpeg" }));
-        if (this.turn !== turn) return;
-        const { width, height } = picture;
-        if (this.canvas.width !== width || this.canvas.height !== height) Object.assign(this.canvas, { width, height });
-        this.canvas.getContext("2d")?.drawImage(picture, 0, 0);
-        picture.close();
-        // The picture may have been on its way since it was asked for.
-        [this.takenMs, this.trouble] = [askedMs - new DataView(data).getFloat32(0, true), ""];
-      }
-    } finally {
-      socket.close();
+  /**
+   * Show the next picture. Throws Error.
+   * @param {string} shown the number of the picture that is shown @returns {Promise<string>} that of the next; "": there is none
+   */
+  async #show(shown) {
+    const { name } = this;
+    if (!name || !this.link.open || document.visibilityState !== "visible") return "";
+    this.asking = new AbortController();
+    const signal = AbortSignal.any([this.asking.signal, AbortSignal.timeout(PATIENCE_MS)]);
+    const askedMs = performance.now() + this.model.sleptMs;
+    const answer = await fetch(`camera/${name}?${new URLSearchParams({ page: this.model.hello?.page ?? "", shown })}`, { signal });
+    const number = answer.headers.get("x-picture");
+    if (!number) {
+      if (answer.ok) this.trouble = await answer.text();
+      return "";
     }
+    const picture = await createImageBitmap(await answer.blob());
+    if (this.name !== name) return "";
+    const { width, height } = picture;
+    if (this.canvas.width !== width || this.canvas.height !== height) Object.assign(this.canvas, { width, height });
+    this.canvas.getContext("2d")?.drawImage(picture, 0, 0);
+    picture.close();
+    [this.takenMs, this.trouble] = [askedMs + Number(answer.headers.get("x-taken-ms")), ""];
+    return number;
   }
-}
-
-/**
- * Wait for the connection, or for its next message. Throws Error if it ends first.
- * @param {WebSocket} socket @param {"onopen" | "onmessage"} what @returns {Promise<any>}
- */
-function next(socket, what) {
-  return new Promise((resolve, reject) => {
-    socket[what] = resolve;
-    socket.onclose = () => reject(new Error("the camera's connection has ended"));
-  });
 }

@@ -27,10 +27,10 @@
  * are `source` and those of the pages before it in its tab, on which it drives on. `lying`: each servo's angle when the
  * robot lies on its belly, as in commands; empty if it cannot lie. `last_id`: the last id of the page that was reloaded
  * in this tab; the new page's numbers begin after it. `cameras`: names of those that it may show; by a picture that is
- * older than `stale_ms` nothing moves (0: at any age). `page` is its number, which a camera's WebSocket names. `commands`
+ * older than `stale_ms` nothing moves (0: at any age). `page` is a secret, by which it asks for pictures. `commands`
  * start the console again, and print a link to it.
  * @typedef {{type: "hello", role: "operator" | "button" | "observer", person: string, source: string, names: string[], version: string,
- *            geometry: Geometry, lying: Record<string, number>, gaits: string[], last_id: number, page?: number, cameras?: string[], stale_ms?: number, commands?: {start: string, link: string}}} Hello
+ *            geometry: Geometry, lying: Record<string, number>, gaits: string[], last_id: number, page?: string, cameras?: string[], stale_ms?: number, commands?: {start: string, link: string}}} Hello
  * The newest state, received `age_ms` ago. `now`: what the robot does, in one sentence without its full stop. `whole`:
  * its six legs start and stop only together. `power`: how the power board feeds the servos; `unconfirmed`: the sentence
  * to show in red while it does not confirm a Stop; both empty if there is none.

@@ -1,11 +1,12 @@
 """What one page shows of a camera, and whether somebody may drive by it. Pure.
 
-The console decides by what it knows: a picture is shown once the page has asked for the next one. So a page that hangs,
-or whose picture does not arrive, moves nothing.
+The console decides by what it knows: a picture is shown once the page names it in its request for the next one. So a
+page that hangs, or whose picture does not arrive, moves nothing.
 """
 
 import math
 
+from gateway.people.watching.camera import Picture
 from gateway.rate_limit import NS_PER_MS, NS_PER_S
 
 
@@ -17,16 +18,18 @@ class PageCamera:
         self._stale_ns = stale_ms * NS_PER_MS
         self._name: str | None = None
         self._taken_ns: int | None = None
+        self.sent: Picture | None = None
+        """The newest picture that was sent to the page."""
 
     def show(self, name: str | None) -> None:
         """Record that the page shows this camera from now on; None: it shows none."""
         if name != self._name:
-            self._name, self._taken_ns = name, None
+            self._name, self._taken_ns, self.sent = name, None, None
 
-    def confirm(self, name: str, taken_ns: int) -> None:
-        """Record that the page shows a picture that was taken then."""
-        if name == self._name:
-            self._taken_ns = taken_ns
+    def confirm(self, name: str, number: str) -> None:
+        """Record that the page shows the newest picture that was sent to it, if that has this number."""
+        if name == self._name and self.sent is not None and number == self.sent.number:
+            self._taken_ns = self.sent.taken_ns
 
     def left_s(self, now_ns: int) -> float:
         """Return how long the picture may still be driven by; inf without a camera. For any thread."""

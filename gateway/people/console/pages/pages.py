@@ -10,6 +10,7 @@ import json
 import logging
 import math
 import re
+import secrets
 import time
 from collections import deque
 from collections.abc import Awaitable, Callable, Iterator
@@ -184,6 +185,10 @@ class Page:
         self.names: tuple[str, ...] = (*(() if former is None else former.names), self.source)[-MAX_NAMES:]
         self.outgoing = Outgoing()
         self.camera = PageCamera(shared.stale_ms)
+        self.secret = secrets.token_urlsafe()
+        """Names the page in its requests for pictures."""
+        self.picture_asked = asyncio.Lock()
+        """Held by the one request that may be open."""
         self._role = role
         self._shared = shared
         self._former = former

@@ -2,7 +2,8 @@
 
 A session has two secrets. Browsers send the cookie with every request, also to other ports of the same host, where
 another user of the machine may listen. So it gives access to the page's files alone; the WebSocket also requires the
-session's key, which the page keeps for its own origin (scheme, host and port).
+session's key, which the page keeps for its own origin (scheme, host and port). Pictures require a secret that the page
+receives by its WebSocket.
 
 The key is never sent, since another program may listen at this origin while the console is started again. The page
 sends a nonce to `/session`; the answer has the console's nonce, and an HMAC over both proves that it knows the key.
@@ -35,7 +36,7 @@ from gateway.rate_limit import NS_PER_S
 PAGE: Final = Path(__file__).parents[1] / "page"
 WEBSOCKET: Final = "/ws"
 CAMERA: Final = "/camera/"
-"""The beginning of the path of each camera's WebSocket."""
+"""The beginning of the path of each camera's pictures."""
 NONCE_NS: Final = 10 * NS_PER_S
 """A page opens its WebSocket as soon as it receives the nonce."""
 COOKIE_S: Final = 30 * 24 * 3600
@@ -98,11 +99,11 @@ class Auth:
         """Waits for the disk, and for other processes that write the sessions."""
 
     async def answer(self, url: URL, headers: MultiMapping[str]) -> web.Response | Entry:
-        """Return the response, or the session whose WebSocket is admitted."""
+        """Return the response, or the session whose WebSocket or request for a picture is admitted."""
         found = await self._admit(url, headers)
         if isinstance(found, web.Response):
             found.force_close()
-        elif _is_websocket(url):
+        elif url.path == WEBSOCKET or url.path.startswith(CAMERA):
             return found
         elif url.path == "/session":
             nonce = self._nonces.issue(secrets.token_hex(16), time.monotonic_ns())
@@ -122,14 +123,14 @@ class Auth:
             return web.Response(
                 status=403, text="this console is not known by that name; console --host NAME admits it"
             )
-        if (_is_websocket(url) or origin is not None) and not self._site.is_own(origin, host):
+        if (url.path == WEBSOCKET or origin is not None) and not self._site.is_own(origin, host):
             return web.Response(status=403, text="only the console's own page may come here")
         if url.path == "/" and "token" in url.query:
             return await self._exchange(self._site.cookie_at(host), *url.query["token"].partition(",")[::2])
         if url.path in PUBLIC:
             return self._files[url.path].response(headers)
         entry = self._sessions.cookie(_cookie(headers, self._site.cookie_at(host)))
-        if entry is not None and (not _is_websocket(url) or self._is_proved(entry, url.query)):
+        if entry is not None and (url.path != WEBSOCKET or self._is_proved(entry, url.query)):
             return entry
         return self._refused("You are not signed in.")
 
@@ -160,10 +161,6 @@ class Auth:
 def proof(key_sha256: str, text: str) -> str:
     """Return an HMAC in hex that proves knowledge of the key with this SHA-256, as `key.js` makes it."""
     return hmac.new(key_sha256.encode(), text.encode("utf-8", "surrogatepass"), hashlib.sha256).hexdigest()
-
-
-def _is_websocket(url: URL) -> bool:
-    return url.path == WEBSOCKET or url.path.startswith(CAMERA)
 
 
 def _cookie(headers: MultiMapping[str], name: str) -> str:

@@ -21,6 +21,7 @@ from yarl import URL
 
 from gateway.people.console.pages.page_messages import MAX_MESSAGE_BYTES
 from gateway.people.console.pages.page_tasks import EndError
+from gateway.people.console.server.auth import CAMERA
 from gateway.people.console.server.sessions import Entry
 from gateway.people.console.server.site import UNSENT_BYTES
 from gateway.rate_limit import NS_PER_S, RateLimit
@@ -40,7 +41,7 @@ BYTES_A_SECOND: Final = 262_144
 UNKNOWN_S: Final = 5.0
 """Limit for the handshake, the request and its answer."""
 SIGNED_IN_S: Final = 30.0
-"""Limit for a file of 150 kB, with a session."""
+"""Limit for a file of 150 kB or a picture, with a session."""
 CLOSING_S: Final = 1.0
 """The longest wait for the peer to confirm that a connection is closed."""
 ACCEPT_AGAIN_S: Final = 1.0
@@ -51,8 +52,6 @@ FRAMES_AT_ONCE: Final = 150
 """A page whose network stalled for a second sends the waiting frames at once."""
 PING_S: Final = 20.0
 """A page that has sent nothing for this long is pinged, and closed after half as long again."""
-PICTURE_S: Final = 20.0
-"""The longest time for one picture: 1 MB at 0.4 Mbit/s."""
 SEND_S: Final = 5.0
 """A page that does not read for this long, while its socket is full, is closed."""
 
@@ -141,7 +140,7 @@ class HttpListener:
         answer: Callable[[URL, MultiMapping[str]], Awaitable[web.Response | Entry]],
         serve_page: Callable[[web.BaseRequest, Entry], Awaitable[web.StreamResponse]],
     ) -> None:
-        """`answer` is `Auth.answer`; `serve_page` answers a page's WebSocket, and returns once that has ended."""
+        """`answer` is `Auth.answer`; `serve_page` answers a page's WebSocket, and its requests for pictures."""
         self._tls = tls
         self._find = answer
         self._serve_page = serve_page
@@ -180,6 +179,9 @@ class HttpListener:
         connection = cast("Connection", request.protocol)
         try:
             found = await self._find(request.rel_url, request.headers)
+            if isinstance(found, Entry) and request.path.startswith(CAMERA):
+                connection.begin("files", SIGNED_IN_S)
+                return await self._serve_page(request, found)
             if isinstance(found, Entry):
                 connection.begin("page", None)
                 try:
@@ -228,11 +230,6 @@ class WebSocket(web.WebSocketResponse):
         """Send a message, and wait for room for the next one. Raises ConnectionError, TimeoutError."""
         async with asyncio.timeout(SEND_S):
             await self.send_str(text)
-
-    async def put_picture(self, data: bytes) -> None:
-        """Send a picture, and wait until the system has taken it. Raises ConnectionError, TimeoutError."""
-        async with asyncio.timeout(PICTURE_S):
-            await self.send_bytes(data)
 
     async def end(self, code: int, reason: str) -> None:
         """Close it with this reason, at most 123 characters; a page that does not read gets none."""
