@@ -17,7 +17,6 @@ NEED_AN_EXTRA: Final = {
     **{f"gateway.people.ros2.{name}": "rclpy" for name in ("node", "run", "topics")},
     "gateway.people.console": "console",
     "gateway.people.physics": "physics",
-    "gateway.people.recorder.pictures": "record",
     "gateway.people.recorder.record": "record",
     "gateway.people.watching.camera": "console",
     "gateway.onboard.simulation_process": "physics",

@@ -203,12 +203,12 @@ def serve(options: Options, site: Site, passed: Sequence[socket.socket]) -> NoRe
     realtime.limit_malloc_arenas()
     threading.stack_size(STACK_BYTES)
     door = phone.door(site) if options.phone else None
-    cameras(options.cameras)  # a fault in them is reported before the port is taken
+    streams = cameras(options.cameras)
     with listening(site, passed) as sockets, listening(door) if door else nullcontext(()) as doors:
         logs.set_up()  # from now on another thread writes the log: no slow reader delays this process
         found = Sessions(console_state(), site.port)
         found.begin(f"{door.url}/#{site.port}," if door else f"{site.url}/?token=", owner.role, owner.common_name)
-        asyncio.run(_run(options, site, (sockets, doors), found, owner, geometry))
+        asyncio.run(_run(options, site, (sockets, doors), found, owner, geometry, streams))
 
 
 def show(link: str) -> None:
@@ -228,6 +228,7 @@ async def _run(
     found: Sessions,
     owner: Owner,
     geometry: Geometry,
+    streams: Mapping[str, Camera],
 ) -> NoReturn:
     """`sockets`: the console's, and those of the page without TLS that explains the warning to a phone."""
     loop, ended = asyncio.get_running_loop(), asyncio.Event()
@@ -236,21 +237,9 @@ async def _run(
     pages = Pages(owner.common_name, found.revoke)
     gateway = GatewayLink(options.reach, owner.person, pages, pages.link_changed)
     stops = Stops(gateway.estop, send_stopping)
-    console = Console(
-        found,
-        pages,
-        Shared(
-            owner.person,
-            gateway,
-            stops,
-            geometry,
-            "adapt" if options.adapt else "level",
-            found.new_link,
-            options.camera_stale_ms,
-        ),
-        cameras(options.cameras),
-        {"start": site.start_command, "link": site.link_command},
-    )
+    terrain = "adapt" if options.adapt else "level"
+    shared = Shared(owner.person, gateway, stops, geometry, terrain, found.new_link, options.camera_stale_ms)
+    console = Console(found, pages, shared, streams, {"start": site.start_command, "link": site.link_command})
     auth = Auth(site, found)
     sys.setswitchinterval(realtime.SWITCH_INTERVAL_S)  # Zenoh's threads and those that ask share the interpreter
     serving = asyncio.create_task(HttpListener(site.tls, auth.answer, console.serve).serve(sockets[0]))

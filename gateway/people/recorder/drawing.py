@@ -162,6 +162,10 @@ class Drawing:
         """Return the URDF as the message that viewers read."""
         return DESCRIPTION, robot.description(self._geometry)
 
+    def camera(self, topic: str, jpeg: bytes, taken_ns: int) -> Drawn:
+        """Return a camera's picture."""
+        return topic, ros.CompressedImage(ros.Header(robot.stamp(taken_ns), topic.strip("/")), "jpeg", memoryview(jpeg))
+
 
 _LEVELS: Final[dict[Tone, int]] = {"bad": LOG_ERROR, "warn": LOG_WARN, "plain": LOG_INFO}
 
@@ -172,11 +176,6 @@ def log_line(level: int, sentence: str, time_ns: int) -> Message:
 
 
 # ---- as bytes
-
-
-def picture(topic: str, jpeg: bytes, taken_ns: int) -> Drawn:
-    """Return a camera's picture."""
-    return topic, ros.CompressedImage(ros.Header(robot.stamp(taken_ns), topic.strip("/")), "jpeg", memoryview(jpeg))
 
 
 def encode(message: Message) -> bytes:

@@ -3,12 +3,14 @@
 One context of the Foxglove SDK has an MCAP file and a live server as its sinks. Reports are logged as published.
 """
 
+import asyncio
 import csv
 import json
+import threading
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -22,17 +24,7 @@ from gateway.errors import AddressTakenError, ConfigError, GatewayError
 from gateway.geometry import Geometry, load
 from gateway.people.client.subscriptions import States
 from gateway.people.commands.reach import Connection
-from gateway.people.recorder.drawing import (
-    CAMERAS,
-    DESCRIPTION,
-    DRAWN,
-    LOG,
-    Drawing,
-    definition,
-    encode,
-    log_line,
-    picture,
-)
+from gateway.people.recorder.drawing import CAMERAS, DESCRIPTION, DRAWN, LOG, Drawing, definition, encode, log_line
 from gateway.people.ros2.messages import LOG_WARN, CompressedImage, Message
 from gateway.people.terminal import clear_line, hint, on_end_signals, say, show_line
 from gateway.people.watching.live import is_of_physics
@@ -49,7 +41,7 @@ try:
     from foxglove.websocket import ChannelView, ServerListener
     from foxglove.websocket import Client as Viewer
 
-    from gateway.people.recorder.pictures import fetched
+    from gateway.people.watching.camera import Camera, Picture
     from gateway.people.watching.camera import cameras as named
 except ImportError as error:
     raise ConfigError(f"to record, type: {install('record')}") from error
@@ -234,19 +226,38 @@ class ReportQueue:
         for key in REPORTS:
             session.declare_subscriber(key, partial(receive, key))
 
-    def put(self, key: str, payload: bytes) -> None:
-        """Queue an entry that is received now, or count it as dropped. For any thread."""
-        if self._waiting.qsize() >= MOST_WAITING:
+    def put(self, key: str, payload: bytes, at_ns: int | None = None, most: int = MOST_WAITING) -> None:
+        """Queue an entry of this monotonic time (None: now), or count it as dropped behind `most`. For any thread."""
+        if self._waiting.qsize() >= most:
             self.dropped += 1
         else:
-            self._waiting.put((key, payload, self.now_ns()))
+            self._waiting.put((key, payload, self.now_ns() if at_ns is None else at_ns + self._since_1970_ns))
 
-    def put_picture(self, camera: str, jpeg: bytes, taken_ns: int) -> None:
-        """Queue a camera's picture, or count it as dropped. `taken_ns`: monotonic. For any thread."""
-        if self._waiting.qsize() >= MOST_BEFORE_A_PICTURE:
-            self.dropped += 1
-        else:
-            self._waiting.put((f"{CAMERAS}{camera}", jpeg, taken_ns + self._since_1970_ns))
+    @contextmanager
+    def follow(self, cameras: Iterable[Camera]) -> Iterator[None]:
+        """Queue pictures within the block; each camera has a thread of its own. A camera's trouble is printed."""
+        ended = threading.Event()
+
+        async def follow(camera: Camera) -> None:
+            newest: Picture | None = None
+            trouble = ""
+            while not ended.is_set():
+                if (newer := await camera.newer(newest, LOOK_S)) is not None:
+                    newest = newer
+                    self.put(f"{CAMERAS}{camera.name}", newest.jpeg, newest.taken_ns, MOST_BEFORE_A_PICTURE)
+                if camera.trouble != trouble:
+                    trouble = camera.trouble
+                    hint(trouble or f"The camera {camera.name} sends pictures again.")
+
+        threads = [threading.Thread(target=asyncio.run, args=(follow(each),), daemon=True) for each in cameras]
+        for each in threads:
+            each.start()
+        try:
+            yield
+        finally:
+            ended.set()
+            for each in threads:
+                each.join()
 
     def end(self) -> None:
         """Make `get` return None after all earlier entries. May be called in a signal handler."""
@@ -295,10 +306,7 @@ def record(
     seconds: float | None,
     cameras: Sequence[str] = (),
 ) -> int:
-    """Record until a signal, or for `seconds`. Returns the exit code. Raises AddressTakenError, ConfigError.
-
-    `cameras`: each `URL` or `NAME=URL` of an MJPEG stream.
-    """
+    """Record until a signal, or for `seconds`. Returns the exit code. Raises AddressTakenError, ConfigError."""
     found = named(cameras)
     recording = Recording(load(geometry), found)
     with connect() as client:
@@ -313,9 +321,8 @@ def record(
             reports.put(CALIBRATION, client.calibration().model_dump_json().encode())
         if client.states.config is not None:
             reports.put(CONFIG, client.states.config.model_dump_json().encode())
-        pictures = fetched(found, reports.put_picture) if found else nullcontext()
         reports.subscribe(client.session)
-        with on_end_signals(reports.end), pictures:
+        with on_end_signals(reports.end), reports.follow(found.values()):
             if path is not None and state.telemetry.frames is False:
                 hint(
                     "The gateway publishes no frames, so the recording will have none: set telemetry.frames = true in "
@@ -391,7 +398,7 @@ class _Recorder:
     def _write(self, key: str, report: Any, time_ns: int) -> None:
         if isinstance(report, bytes):
             self._counts[CAMERAS] += 1
-            self._recording.draw([picture(key, report, time_ns)], time_ns)
+            self._recording.draw([self._recording.drawing.camera(key, report, time_ns)], time_ns)
             return
         self._received_s = time.monotonic()
         self._counts[key] += 1
