@@ -105,7 +105,7 @@ class Console:
                 return web.Response(status=202, text=self._cameras[name].trouble, headers=HEADERS)
             page.camera.sent = found
             taken_ms = (found.taken_ns - asked_ns) / NS_PER_MS
-            about = {"X-Picture": found.number, "X-Taken-Ms": f"{taken_ms:.1f}", "Content-Type": "image/jpeg"}
+            about = {"X-Picture": str(found.taken_ns), "X-Taken-Ms": f"{taken_ms:.1f}", "Content-Type": "image/jpeg"}
             response = web.Response(body=found.jpeg, headers=HEADERS | about)
             with suppress(ConnectionError):
                 await response.prepare(request)

@@ -16,10 +16,9 @@ from email.parser import HeaderParser
 from typing import Final, NamedTuple
 
 import aiohttp
-from yarl import URL
 
 from gateway.errors import ConfigError
-from gateway.rate_limit import NS_PER_S, RateLimit
+from gateway.rate_limit import NS_PER_S
 
 MAX_CAMERAS: Final = 4
 MAX_JPEG_BYTES: Final = 1_000_000
@@ -29,18 +28,18 @@ MAX_HEAD_BYTES: Final = 4096
 BYTES_A_SECOND: Final = 8_000_000
 """Read of one camera: 64 Mbit/s, a few percent of a processor. A server that sends more has to wait."""
 SILENT_S: Final = 5.0
-"""The longest wait for a picture, also for the first."""
+"""The longest wait for a picture, also for the first; and how long a camera is fetched after the last question."""
 AGAIN_S: Final = 1.0
 """Pause before a camera is tried again."""
-UNASKED_S: Final = 5.0
-"""How long a camera is still fetched after the last question for a picture."""
 DRIFT: Final = 200e-6
 """Twice the error of a bad crystal, since two clocks drift apart."""
 MAX_LATE_NS: Final = 5 * NS_PER_S
 """A picture that is later by its server's clock than this: that clock was set. A new connection begins anew."""
-UNNAMED: Final = "camera"
 
-_NAMED: Final = re.compile(r"(?P<name>[A-Za-z0-9_-]{1,20})=(?P<url>https?://.*)", re.DOTALL)
+_HOST: Final = r"(?:\[[\da-fA-F:.]+]|[\w.-]+)(?::\d{1,5})?"
+_CAMERA: Final = re.compile(
+    rf"(?:(?P<name>[A-Za-z0-9_-]{{1,20}})=)?(?P<url>https?://(?:[^\s/?#@]*@)?{_HOST}(?:[/?#]\S*)?)"
+)
 
 
 class CameraError(Exception):
@@ -53,11 +52,6 @@ class Picture(NamedTuple):
     jpeg: bytes
     taken_ns: int
 
-    @property
-    def number(self) -> str:
-        """Distinguishes the pictures of a camera."""
-        return str(self.taken_ns)
-
 
 async def stream_parts(more: Callable[[], Awaitable[bytes]], boundary: str) -> AsyncIterator[tuple[Message, bytes]]:
     """Yield the headers and the JPEG of each part of a multipart stream. At most a picture is in memory.
@@ -65,7 +59,7 @@ async def stream_parts(more: Callable[[], Awaitable[bytes]], boundary: str) -> A
     `more` returns the stream's next bytes, none at its end. Raises CameraError for anything else, and what `more` does.
     """
     delimiter = b"--" + boundary.strip("-").encode("latin-1", "replace")  # some servers' boundary has the dashes
-    unread, allowance = bytearray(), RateLimit(BYTES_A_SECOND, BYTES_A_SECOND)
+    unread = bytearray()
 
     async def take(end: bytes | int, most: int, why: str) -> bytes:
         """Return the bytes before the mark `end`, or `end` bytes. Raise CameraError with `why` for more than `most`."""
@@ -80,8 +74,6 @@ async def stream_parts(more: Callable[[], Awaitable[bytes]], boundary: str) -> A
             if not (data := await more()):
                 raise CameraError("has ended its stream")
             unread.extend(data)
-            if not allowance.take(time.monotonic_ns(), len(data)):
-                await asyncio.sleep(len(data) / BYTES_A_SECOND)
 
     while True:
         await take(delimiter, MAX_HEAD_BYTES, "sends no picture that begins")
@@ -95,13 +87,14 @@ async def stream_parts(more: Callable[[], Awaitable[bytes]], boundary: str) -> A
         if not (jpeg := body[4:]).startswith(b"\xff\xd8"):
             raise CameraError("sends something other than JPEGs")
         yield headers, jpeg
+        await asyncio.sleep((MAX_HEAD_BYTES + len(jpeg)) / BYTES_A_SECOND)
 
 
 class Ages:
     """When pictures of one connection were taken, by what their server states. Pure."""
 
     def __init__(self) -> None:
-        self._least_ns: float | None = None
+        self._least_ns = float("inf")
         """The least difference of arrival and `X-Timestamp`: a way without delay."""
         self._before_ns = 0
 
@@ -110,8 +103,8 @@ class Ages:
         late_ns = _seconds(headers, "x-ustreamer-latency") * NS_PER_S
         if sent_s := _seconds(headers, "x-timestamp"):
             apart_ns = now_ns - sent_s * NS_PER_S
-            drifted_ns = apart_ns if self._least_ns is None else self._least_ns + DRIFT * (now_ns - self._before_ns)
-            self._least_ns, self._before_ns = min(apart_ns, drifted_ns), now_ns
+            self._least_ns = min(apart_ns, self._least_ns + DRIFT * (now_ns - self._before_ns))
+            self._before_ns = now_ns
             late_ns += apart_ns - self._least_ns
         if late_ns > MAX_LATE_NS:
             raise CameraError("sends old pictures, or its clock was set")
@@ -128,7 +121,7 @@ def _seconds(headers: Message | Mapping[str, str], name: str) -> float:
 class Camera:
     """One camera. On the event loop."""
 
-    def __init__(self, name: str, url: URL) -> None:
+    def __init__(self, name: str, url: str) -> None:
         self.name = name
         self._url = url
         self._until_s = 0.0
@@ -139,8 +132,8 @@ class Camera:
         """Why no picture comes, in one sentence; "" while pictures come."""
 
     async def newer(self, than: Picture | None, timeout_s: float) -> Picture | None:
-        """Wait for a newer picture, and fetch pictures for `UNASKED_S` more. Return None if none comes in time."""
-        self._until_s = time.monotonic() + timeout_s + UNASKED_S
+        """Wait for a newer picture. Return None if none comes in time."""
+        self._until_s = time.monotonic() + timeout_s + SILENT_S
         if self._fetching is None or self._fetching.done():
             self._fetching = asyncio.create_task(self._run())
         with suppress(TimeoutError):
@@ -153,20 +146,19 @@ class Camera:
         while time.monotonic() < self._until_s:
             try:
                 await self._fetch()
+                continue
             except CameraError as error:
-                self._explain(str(error))
+                why = str(error)
             except TimeoutError:
-                self._explain(f"has sent no picture for {SILENT_S:g} s")
+                why = f"has sent no picture for {SILENT_S:g} s"
             except (aiohttp.ClientError, OSError, ValueError):
-                self._explain("cannot be reached, or its stream broke off")
+                why = "cannot be reached, or its stream broke off"
+            self.trouble = f"The camera {self.name} {why}."
             await asyncio.sleep(AGAIN_S)
         self._newest = None
 
-    def _explain(self, why: str) -> None:
-        self.trouble = f"The camera {self.name} {why}."
-
     async def _fetch(self) -> None:
-        """Raises CameraError, also if the stream has ended, TimeoutError, aiohttp.ClientError, OSError, ValueError."""
+        """Fetch until nobody asks. Raises CameraError, TimeoutError, aiohttp.ClientError, OSError, ValueError."""
         async with (
             asyncio.timeout(SILENT_S) as silence,
             aiohttp.ClientSession(auto_decompress=False, timeout=aiohttp.ClientTimeout()) as session,
@@ -182,36 +174,28 @@ class Camera:
             ages = Ages()
             async for headers, jpeg in stream_parts(answer.content.readany, boundary):
                 silence.reschedule(asyncio.get_running_loop().time() + SILENT_S)
-                await self._take(headers, jpeg, ages.taken_ns(headers, time.monotonic_ns()))
+                if headers.get("x-ustreamer-online", "true") != "true":
+                    raise CameraError("is not connected to its server")
+                taken_ns = ages.taken_ns(headers, time.monotonic_ns())
+                if self._newest is None or self._newest.jpeg != jpeg:
+                    self._newest, self.trouble = Picture(jpeg, taken_ns), ""
+                    async with self._changed:
+                        self._changed.notify_all()
                 if time.monotonic() > self._until_s:
                     return
-
-    async def _take(self, headers: Message, jpeg: bytes, taken_ns: int) -> None:
-        if headers.get("x-ustreamer-online", "true") != "true":
-            raise CameraError("is not connected to its server")
-        if self._newest is not None and self._newest.jpeg == jpeg:
-            return
-        self._newest, self.trouble = Picture(jpeg, taken_ns), ""
-        async with self._changed:
-            self._changed.notify_all()
 
 
 def cameras(named: Sequence[str]) -> dict[str, Camera]:
     """Return the cameras of `URL` and `NAME=URL`, by name. Raises ConfigError."""
     found = dict[str, Camera]()
     for each in named:
-        match = _NAMED.fullmatch(each)
-        name, text = (match["name"], match["url"]) if match else (UNNAMED, each)
+        match = _CAMERA.fullmatch(each)
+        if match is None:
+            raise ConfigError("--camera is no URL of an MJPEG stream, such as http://127.0.0.1:8081/stream")
+        name = match["name"] or "camera"
         if name in found:
             raise ConfigError(f"--camera {name}: two cameras need two names, such as --camera front=http://…")
-        with suppress(ValueError):
-            url = URL(text)
-            if url.scheme in ("http", "https") and url.host and text.isprintable():
-                found[name] = Camera(name, url)
-        if name not in found:
-            raise ConfigError(
-                "--camera is no URL of an MJPEG stream, such as http://127.0.0.1:8081/stream?extra_headers=1"
-            )
+        found[name] = Camera(name, match["url"])
     if len(found) > MAX_CAMERAS:
         raise ConfigError(f"--camera: {MAX_CAMERAS} cameras at most")
     return found

@@ -6,7 +6,7 @@
 
 import { attribute, byId, show, text } from "./dom.js";
 
-const PATIENCE_MS = 30_000;
+const PATIENCE_MS = 10_000;
 const AGAIN_MS = 250;
 
 export class Camera {
@@ -20,7 +20,6 @@ export class Camera {
     /** When the picture that is shown was taken, at the earliest. */
     this.takenMs = -Infinity;
     this.trouble = "";
-    this.asking = new AbortController();
     this.canvas = byId("camera", HTMLCanvasElement);
     byId("camera-next").addEventListener("click", () => {
       this.view += 1;
@@ -34,7 +33,6 @@ export class Camera {
 
   /** The console has begun to serve this page. */
   begin() {
-    this.asking.abort(); // it may be on a network that is gone
     this.name = "";
     this.#look();
   }
@@ -92,10 +90,9 @@ export class Camera {
   async #show(shown) {
     const { name } = this;
     if (!name || !this.link.open || document.visibilityState !== "visible") return "";
-    this.asking = new AbortController();
-    const signal = AbortSignal.any([this.asking.signal, AbortSignal.timeout(PATIENCE_MS)]);
     const askedMs = performance.now() + this.model.sleptMs;
-    const answer = await fetch(`camera/${name}?${new URLSearchParams({ page: this.model.hello?.page ?? "", shown })}`, { signal });
+    const query = new URLSearchParams({ page: this.model.hello?.page ?? "", shown });
+    const answer = await fetch(`camera/${name}?${query}`, { signal: AbortSignal.timeout(PATIENCE_MS) });
     const number = answer.headers.get("x-picture");
     if (!number) {
       if (answer.ok) this.trouble = await answer.text();

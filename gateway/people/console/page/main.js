@@ -143,7 +143,7 @@ function received(message) {
       walk.offer(message.gaits);
       walk.goOn(message.last_id);
       model.forgetEvents(); // the newest ones come again
-      if (message.cameras?.length) void showCamera();
+      if (message.cameras?.length) void import("./camera.js").then(showCamera);
       break;
     case "state":
       if (model.takeState(message.state, message.age_ms, performance.now())) lease.restarted();
@@ -196,9 +196,8 @@ function received(message) {
   }
 }
 
-/** Load what shows cameras; only where there is one. */
-async function showCamera() {
-  const { Camera } = await import("./camera.js");
+/** @param {typeof import("./camera.js")} module loaded only where there is a camera */
+function showCamera({ Camera }) {
   camera ??= new Camera(link, model, say);
   camera.begin();
 }

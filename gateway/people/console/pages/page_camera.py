@@ -4,8 +4,6 @@ The console decides by what it knows: a picture is shown once the page names it 
 page that hangs, or whose picture does not arrive, moves nothing.
 """
 
-import math
-
 from gateway.people.watching.camera import Picture
 from gateway.rate_limit import NS_PER_MS, NS_PER_S
 
@@ -27,22 +25,16 @@ class PageCamera:
             self._name, self._taken_ns, self.sent = name, None, None
 
     def confirm(self, name: str, number: str) -> None:
-        """Record that the page shows the newest picture that was sent to it, if that has this number."""
-        if name == self._name and self.sent is not None and number == self.sent.number:
+        """Record that the page shows the picture of this number (`taken_ns`), if that was sent to it last."""
+        if name == self._name and self.sent is not None and number == str(self.sent.taken_ns):
             self._taken_ns = self.sent.taken_ns
-
-    def left_s(self, now_ns: int) -> float:
-        """Return how long the picture may still be driven by; inf without a camera. For any thread."""
-        taken_ns = self._taken_ns
-        if self._name is None or not self._stale_ns:
-            return math.inf
-        return 0.0 if taken_ns is None else max(0.0, (taken_ns + self._stale_ns - now_ns) / NS_PER_S)
 
     def bars(self, now_ns: int) -> str:
         """Return why nothing may be driven by the picture, without a full stop; "" if it may. For any thread."""
-        taken_ns = self._taken_ns
-        if self.left_s(now_ns):
+        name, taken_ns = self._name, self._taken_ns
+        if name is None or not self._stale_ns:
             return ""
         if taken_ns is None:
             return "no picture was shown yet; wait for one, or hide the camera"
-        return f"the picture was {(now_ns - taken_ns) / NS_PER_S:.1f} s old"
+        age_ns = now_ns - taken_ns
+        return "" if age_ns < self._stale_ns else f"the picture was {age_ns / NS_PER_S:.1f} s old"
