@@ -280,11 +280,7 @@ def console(
     ] = False,
     camera: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="[NAME=]URL",
-            envvar="HEXAPOD_CONSOLE__CAMERA",
-            help="A camera's MJPEG stream, which the page shows. Repeatable.",
-        ),
+        typer.Option(metavar="[NAME=]URL", envvar="HEXAPOD_CONSOLE__CAMERA", help="Show an MJPEG stream. Repeatable."),
     ] = None,
     camera_stale_ms: Annotated[
         float, typer.Option(metavar="MS", min=0, help="An older picture moves nothing; 0: any does.")

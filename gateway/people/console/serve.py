@@ -94,9 +94,9 @@ class Console:
         """Answer with a newer picture than the page has, or with the reason why there is none, within `CHECK_S`."""
         asked_ns, name = time.monotonic_ns(), request.path.removeprefix(CAMERA)
         page = next((each for each in self._pages if each.secret == request.query.get("page")), None)
-        if page is None or name not in self._cameras or page.picture_asked.locked():
+        if page is None or name not in self._cameras or page.picture_request.locked():
             return web.Response(status=403 if page is None else 409)
-        async with page.picture_asked:
+        async with page.picture_request:
             page.camera.confirm(name, request.query.get("shown", ""))
             found = await self._cameras[name].newer(page.camera.sent, CHECK_S)
             if not self._sessions.still_valid(session):

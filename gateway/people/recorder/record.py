@@ -41,8 +41,7 @@ try:
     from foxglove.websocket import ChannelView, ServerListener
     from foxglove.websocket import Client as Viewer
 
-    from gateway.people.watching.camera import Camera, Picture
-    from gateway.people.watching.camera import cameras as named
+    from gateway.people.watching import camera as watching
 except ImportError as error:
     raise ConfigError(f"to record, type: {install('record')}") from error
 
@@ -68,14 +67,13 @@ configuration."""
 class Recording(ServerListener):
     """Logs to the sinks that were opened. Times are nanoseconds since 1970."""
 
-    def __init__(self, geometry: Geometry, cameras: Iterable[str] = ()) -> None:
-        """`cameras`: their names."""
+    def __init__(self, geometry: Geometry, camera_names: Iterable[str] = ()) -> None:
         self.drawing = Drawing(geometry)
         self._context = foxglove.Context()
         # `foxglove.Channel` gives JSON a schema, and rosbags 0.11 opens no file that has one.
         create = self._context._create_channel
         self._channels = {key: create(key, message_encoding="json") for key in REPORTS}
-        for topic, kind in (*DRAWN.items(), *((f"{CAMERAS}{each}", CompressedImage) for each in cameras)):
+        for topic, kind in (*DRAWN.items(), *((f"{CAMERAS}{each}", CompressedImage) for each in camera_names)):
             schema = foxglove.Schema(name=kind.TYPE, encoding="ros2msg", data=definition(kind).encode())
             self._channels[topic] = create(topic, message_encoding="cdr", schema=schema)
         self._asked = False  # a new viewer, for the robot's description
@@ -234,12 +232,12 @@ class ReportQueue:
             self._waiting.put((key, payload, self.now_ns() if at_ns is None else at_ns + self._since_1970_ns))
 
     @contextmanager
-    def follow(self, cameras: Iterable[Camera]) -> Iterator[None]:
+    def follow(self, cameras: Iterable[watching.Camera]) -> Iterator[None]:
         """Queue pictures within the block; each camera has a thread of its own. A camera's trouble is printed."""
         ended = threading.Event()
 
-        async def follow(camera: Camera) -> None:
-            newest: Picture | None = None
+        async def follow(camera: watching.Camera) -> None:
+            newest: watching.Picture | None = None
             trouble = ""
             while not ended.is_set():
                 if (newer := await camera.newer(newest, LOOK_S)) is not None:
@@ -264,9 +262,7 @@ class ReportQueue:
         self._waiting.put(None)
 
     def get(self, timeout_s: float) -> tuple[str, Any, int] | None:
-        """Return the next entry's key, report and arrival (ns since 1970); None: the queue has ended.
-
-        Of a picture: its topic, the JPEG, and when it was taken.
+        """Return the next entry's key, report (JPEG: bytes) and time (ns since 1970); None: the queue has ended.
 
         Raises queue.Empty if no entry arrives within `timeout_s`, if the entry is invalid, or if it is a state whose
         configuration is unknown.
@@ -307,7 +303,7 @@ def record(
     cameras: Sequence[str] = (),
 ) -> int:
     """Record until a signal, or for `seconds`. Returns the exit code. Raises AddressTakenError, ConfigError."""
-    found = named(cameras)
+    found = watching.cameras(cameras)
     recording = Recording(load(geometry), found)
     with connect() as client:
         state = client.state()

@@ -36,10 +36,8 @@ DRIFT: Final = 200e-6
 MAX_LATE_NS: Final = 5 * NS_PER_S
 """A picture that is later by its server's clock than this: that clock was set. A new connection begins anew."""
 
-_HOST: Final = r"(?:\[[\da-fA-F:.]+]|[\w.-]+)(?::\d{1,5})?"
-_CAMERA: Final = re.compile(
-    rf"(?:(?P<name>[A-Za-z0-9_-]{{1,20}})=)?(?P<url>https?://(?:[^\s/?#@]*@)?{_HOST}(?:[/?#]\S*)?)"
-)
+_URL: Final = r"https?://(?:[^\s/?#@]*@)?(?:\[[\da-fA-F:.]+]|[\w.-]+)(?::\d{1,5})?(?:[/?#]\S*)?"
+_NAMED: Final = re.compile(rf"(?:(?P<name>[A-Za-z0-9_-]{{1,20}})=)?(?P<url>{_URL})")
 
 
 class CameraError(Exception):
@@ -54,10 +52,7 @@ class Picture(NamedTuple):
 
 
 async def stream_parts(more: Callable[[], Awaitable[bytes]], boundary: str) -> AsyncIterator[tuple[Message, bytes]]:
-    """Yield the headers and the JPEG of each part of a multipart stream. At most a picture is in memory.
-
-    `more` returns the stream's next bytes, none at its end. Raises CameraError for anything else, and what `more` does.
-    """
+    """Yield the headers and the JPEG of each part of a stream, whose next bytes `more` returns. Raises CameraError."""
     delimiter = b"--" + boundary.strip("-").encode("latin-1", "replace")  # some servers' boundary has the dashes
     unread = bytearray()
 
@@ -79,8 +74,6 @@ async def stream_parts(more: Callable[[], Awaitable[bytes]], boundary: str) -> A
         await take(delimiter, MAX_HEAD_BYTES, "sends no picture that begins")
         head = await take(b"\r\n\r\n", MAX_HEAD_BYTES, "sends no picture that begins")
         headers = HeaderParser().parsestr(head.partition(b"\r\n")[2].decode("latin-1"))
-        if headers.get_content_type() not in ("image/jpeg", "image/jpg"):
-            raise CameraError("sends something other than JPEGs")
         stated = headers.get("content-length", "")
         end = 4 + int(stated) if stated.isascii() and stated.isdigit() else b"\r\n" + delimiter
         body = await take(end, MAX_JPEG_BYTES, "sends pictures of more than 1 MB; set a lower resolution or quality")
@@ -189,7 +182,7 @@ def cameras(named: Sequence[str]) -> dict[str, Camera]:
     """Return the cameras of `URL` and `NAME=URL`, by name. Raises ConfigError."""
     found = dict[str, Camera]()
     for each in named:
-        match = _CAMERA.fullmatch(each)
+        match = _NAMED.fullmatch(each)
         if match is None:
             raise ConfigError("--camera is no URL of an MJPEG stream, such as http://127.0.0.1:8081/stream")
         name = match["name"] or "camera"

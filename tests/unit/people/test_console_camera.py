@@ -59,7 +59,7 @@ LARGE: Final = jpeg(1, MAX_JPEG_BYTES)
     [
         (b"x" * 5000, "no picture that begins"),
         (BOUNDARY + b"X: " + b"y" * 5000, "no picture that begins"),
-        (BOUNDARY + b"Content-Type: text/html\r\n\r\n", "other than JPEGs"),
+        (BOUNDARY + b"Content-Type: text/html\r\n\r\n<p>" + BOUNDARY, "other than JPEGs"),
         (BOUNDARY + part(b"GIF89a"), "other than JPEGs"),
         (BOUNDARY + part(b"", Content_Length=10**12), "more than 1 MB"),
         (BOUNDARY + BARE + LARGE, "more than 1 MB"),

@@ -19,6 +19,8 @@ export class Camera {
     this.view = 0;
     /** When the picture that is shown was taken, at the earliest. */
     this.takenMs = -Infinity;
+    /** Whether the picture that is shown is too old to drive by. */
+    this.old = false;
     this.trouble = "";
     this.canvas = byId("camera", HTMLCanvasElement);
     byId("camera-next").addEventListener("click", () => {
@@ -37,20 +39,16 @@ export class Camera {
     this.#look();
   }
 
-  /** Whether the picture that is shown is too old to drive by. @param {number} nowMs */
-  old(nowMs) {
-    const { stale_ms = 0 } = this.model.hello ?? {};
-    return Boolean(this.name && stale_ms) && this.#ageMs(nowMs) >= stale_ms;
-  }
-
   /** @param {number} nowMs */
   refresh(nowMs) {
     this.#look(); // the window may have another size
-    const old = this.old(nowMs);
-    const age = (this.#ageMs(nowMs) / 1000).toFixed(old ? 1 : 2);
-    attribute(byId("picture"), "data-old", old ? "yes" : "no");
+    const { stale_ms = 0 } = this.model.hello ?? {};
+    const ageMs = nowMs + this.model.sleptMs - this.takenMs;
+    this.old = this.name !== "" && stale_ms > 0 && ageMs >= stale_ms;
+    const age = (ageMs / 1000).toFixed(this.old ? 1 : 2);
+    attribute(byId("picture"), "data-old", this.old ? "yes" : "no");
     show(byId("camera-age"), this.name !== "");
-    text(byId("camera-age"), this.trouble || (this.takenMs === -Infinity ? "No picture yet" : old ? `The picture is ${age} s old` : `${age} s`));
+    text(byId("camera-age"), this.trouble || (this.takenMs === -Infinity ? "No picture yet" : this.old ? `The picture is ${age} s old` : `${age} s`));
   }
 
   /** What one tap after the other shows: each camera with the drawn robot, and alone; at last none. */
@@ -58,11 +56,6 @@ export class Camera {
     const { cameras = [] } = this.model.hello ?? {};
     const views = [...cameras.flatMap((name) => [false, true].map((alone) => ({ name, alone }))), { name: "", alone: false }];
     return views[this.view % views.length];
-  }
-
-  /** @param {number} nowMs */
-  #ageMs(nowMs) {
-    return nowMs + this.model.sleptMs - this.takenMs;
   }
 
   /** Show what is wanted, and report it to the console; a small window has no picture. */
@@ -83,21 +76,15 @@ export class Camera {
     }
   }
 
-  /**
-   * Show the next picture. Throws Error.
-   * @param {string} shown the number of the picture that is shown @returns {Promise<string>} that of the next; "": there is none
-   */
+  /** Show a newer picture than that of number `shown`. Return its number; "": there is none. Throws Error. @param {string} shown */
   async #show(shown) {
     const { name } = this;
     if (!name || !this.link.open || document.visibilityState !== "visible") return "";
     const askedMs = performance.now() + this.model.sleptMs;
     const query = new URLSearchParams({ page: this.model.hello?.page ?? "", shown });
     const answer = await fetch(`camera/${name}?${query}`, { signal: AbortSignal.timeout(PATIENCE_MS) });
-    const number = answer.headers.get("x-picture");
-    if (!number) {
-      if (answer.ok) this.trouble = await answer.text();
-      return "";
-    }
+    if (answer.status === 202) this.trouble = await answer.text();
+    if (answer.status !== 200) return "";
     const picture = await createImageBitmap(await answer.blob());
     if (this.name !== name) return "";
     const { width, height } = picture;
@@ -105,6 +92,6 @@ export class Camera {
     this.canvas.getContext("2d")?.drawImage(picture, 0, 0);
     picture.close();
     [this.takenMs, this.trouble] = [askedMs + Number(answer.headers.get("x-taken-ms")), ""];
-    return number;
+    return answer.headers.get("x-picture") ?? "";
   }
 }

@@ -82,7 +82,7 @@ const lease = new Lease(link, model, {
 const calibrate = new Calibrate(link, model, { mine: () => lease.mine, holds: () => hold.active || walk.active, say });
 const walk = new Walk(link, model, {
   mine: () => lease.mine,
-  old: (nowMs) => camera?.old(nowMs) ?? false,
+  old: () => camera?.old ?? false,
   busy: () => (hold.active ? "legs are held; let go first" : calibrate.active ? "a servo is under test; stop it first" : ""),
   say,
 });
@@ -143,7 +143,8 @@ function received(message) {
       walk.offer(message.gaits);
       walk.goOn(message.last_id);
       model.forgetEvents(); // the newest ones come again
-      if (message.cameras?.length) void import("./camera.js").then(showCamera);
+      // Only where there is a camera.
+      if (message.cameras?.length) void import("./camera.js").then(({ Camera }) => (camera ??= new Camera(link, model, say)).begin());
       break;
     case "state":
       if (model.takeState(message.state, message.age_ms, performance.now())) lease.restarted();
@@ -194,12 +195,6 @@ function received(message) {
       lease.received(message);
       break;
   }
-}
-
-/** @param {typeof import("./camera.js")} module loaded only where there is a camera */
-function showCamera({ Camera }) {
-  camera ??= new Camera(link, model, say);
-  camera.begin();
 }
 
 function refresh() {

@@ -28,7 +28,7 @@ const BEGINS_MS = 6000;
 export class Walk {
   /**
    * @param {import("./link.js").Link} link @param {import("./model.js").Model} model
-   * @param {{mine: () => boolean, old: (nowMs: number) => boolean, busy: () => string, say: import("./words.js").Say}} callbacks
+   * @param {{mine: () => boolean, old: () => boolean, busy: () => string, say: import("./words.js").Say}} callbacks
    *   `busy`: what else drives the legs, in words, or ""; `old`: whether the camera's picture is too old to drive by
    */
   constructor(link, model, callbacks) {
@@ -185,7 +185,7 @@ export class Walk {
     const may = barred(this, nowMs) === "";
     show(byId("walk-controls"), !this.model.looks);
     for (const id of ["stand", "sit", "lower", "higher"]) enable(byId(id, HTMLButtonElement), may);
-    for (const id of ["pad", "turn"]) attribute(byId(id), "aria-disabled", may && !this.callbacks.old(nowMs) ? "false" : "true");
+    for (const id of ["pad", "turn"]) attribute(byId(id), "aria-disabled", may && !this.callbacks.old() ? "false" : "true");
     for (const input of [...this.#choices("gait"), ...this.#choices("speed")]) enable(input, may);
     attribute(byId("pad"), "data-held", x || y ? "yes" : "no");
     attribute(byId("turn"), "data-held", turn ? "yes" : "no");

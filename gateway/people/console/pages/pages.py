@@ -186,9 +186,8 @@ class Page:
         self.outgoing = Outgoing()
         self.camera = PageCamera(shared.stale_ms)
         self.secret = secrets.token_urlsafe()
-        """Names the page in its requests for pictures."""
-        self.picture_asked = asyncio.Lock()
-        """Held by the one request that may be open."""
+        """Names the page in its requests for pictures, of which one at a time may be open."""
+        self.picture_request = asyncio.Lock()
         self._role = role
         self._shared = shared
         self._former = former

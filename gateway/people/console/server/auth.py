@@ -36,7 +36,6 @@ from gateway.rate_limit import NS_PER_S
 PAGE: Final = Path(__file__).parents[1] / "page"
 WEBSOCKET: Final = "/ws"
 CAMERA: Final = "/camera/"
-"""The beginning of the path of each camera's pictures."""
 NONCE_NS: Final = 10 * NS_PER_S
 """A page opens its WebSocket as soon as it receives the nonce."""
 COOKIE_S: Final = 30 * 24 * 3600
