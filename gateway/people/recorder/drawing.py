@@ -64,8 +64,7 @@ DRAWN: Final[Mapping[str, type[Message]]] = {
 }
 """Topic → the type of its messages."""
 CAMERAS: Final = "/camera/"
-"""The beginning of each camera's topic: pictures as CompressedImage. Viewers and `ros2 bag` read that of ROS 2; the one
-of Foxglove is protobuf, and rosbags opens no file that has it."""
+"""The beginning of each camera's topic: ROS 2's CompressedImage. Foxglove's is protobuf, which rosbags does not open."""
 WORLD: Final = "world"
 COMMANDED: Final = "commanded/"
 BODY_NS: Final = 1_000_000_000

@@ -117,7 +117,7 @@ class Camera:
     def __init__(self, name: str, url: str) -> None:
         self.name = name
         self._url = url
-        self._until_s = 0.0
+        self._fetched_until_s = 0.0
         self._fetching: asyncio.Task[None] | None = None
         self._newest: Picture | None = None
         self._changed = asyncio.Condition()
@@ -126,7 +126,7 @@ class Camera:
 
     async def newer(self, than: Picture | None, timeout_s: float) -> Picture | None:
         """Wait for a newer picture. Return None if none comes in time."""
-        self._until_s = time.monotonic() + timeout_s + SILENT_S
+        self._fetched_until_s = time.monotonic() + timeout_s + SILENT_S
         if self._fetching is None or self._fetching.done():
             self._fetching = asyncio.create_task(self._run())
         with suppress(TimeoutError):
@@ -136,7 +136,7 @@ class Camera:
         return None
 
     async def _run(self) -> None:
-        while time.monotonic() < self._until_s:
+        while time.monotonic() < self._fetched_until_s:
             try:
                 await self._fetch()
                 continue
@@ -174,7 +174,7 @@ class Camera:
                     self._newest, self.trouble = Picture(jpeg, taken_ns), ""
                     async with self._changed:
                         self._changed.notify_all()
-                if time.monotonic() > self._until_s:
+                if time.monotonic() > self._fetched_until_s:
                     return
 
 

@@ -82,7 +82,7 @@ export class Camera {
     if (!name || !this.link.open || document.visibilityState !== "visible") return "";
     const askedMs = performance.now() + this.model.sleptMs;
     const query = new URLSearchParams({ page: this.model.hello?.page ?? "", shown });
-    const answer = await fetch(`camera/${name}?${query}`, { signal: AbortSignal.timeout(PATIENCE_MS) });
+    const answer = await fetch(`camera/${name}?${query}`, { cache: "no-store", signal: AbortSignal.timeout(PATIENCE_MS) });
     if (answer.status === 202) this.trouble = await answer.text();
     if (answer.status !== 200) return "";
     const picture = await createImageBitmap(await answer.blob());

@@ -92,7 +92,7 @@ const numbers = new Numbers(model, select);
 const upright = new Upright(link, model, say);
 const picture = new Picture(model, select, say, upright);
 const measured = new Measured(model);
-/** @type {import("./camera.js").Camera | null} */
+/** Loaded only if there is a camera. @type {import("./camera.js").Camera | null} */
 let camera = null;
 const plots = new Plots(model);
 const device = new Device(link, say);
@@ -143,7 +143,6 @@ function received(message) {
       walk.offer(message.gaits);
       walk.goOn(message.last_id);
       model.forgetEvents(); // the newest ones come again
-      // Only where there is a camera.
       if (message.cameras?.length) void import("./camera.js").then(({ Camera }) => (camera ??= new Camera(link, model, say)).begin());
       break;
     case "state":

@@ -2,8 +2,7 @@
 
 A session has two secrets. Browsers send the cookie with every request, also to other ports of the same host, where
 another user of the machine may listen. So it gives access to the page's files alone; the WebSocket also requires the
-session's key, which the page keeps for its own origin (scheme, host and port). Pictures require a secret that the page
-receives by its WebSocket.
+session's key, which the page keeps for its own origin (scheme, host and port), and pictures a secret of the WebSocket.
 
 The key is never sent, since another program may listen at this origin while the console is started again. The page
 sends a nonce to `/session`; the answer has the console's nonce, and an HMAC over both proves that it knows the key.
