@@ -64,7 +64,7 @@ DRAWN: Final[Mapping[str, type[Message]]] = {
 }
 """Topic → the type of its messages."""
 CAMERAS: Final = "/camera/"
-"""The beginning of each camera's topic: ROS 2's CompressedImage. Foxglove's is protobuf, which rosbags does not open."""
+"""The beginning of each camera's topic: ROS 2's CompressedImage. Foxglove's is protobuf; rosbags does not open it."""
 WORLD: Final = "world"
 COMMANDED: Final = "commanded/"
 BODY_NS: Final = 1_000_000_000
