@@ -6,8 +6,7 @@ is known elsewhere, too: it has its own rings and threads (`zenoh_io/inbox.py`, 
 """
 
 import re
-from collections.abc import Callable, Mapping
-from itertools import chain
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
@@ -49,22 +48,33 @@ def _read_servo(servo_id: int, payload: bytes) -> Command:
     return Command(frame.servos, frames=own, source=sent.source, sent_ms=sent.sent_ms, lease=sent.lease)
 
 
+def _leg_of(leg: int, setpoints: Sequence[dict[str, Any]]) -> OneLeg:
+    """Return the frame of a leg's three setpoints."""
+    try:
+        return OneLeg(leg, [_OPS[each["op"]][round(each["angle_deg"] * 100)] for each in setpoints])
+    except KeyError:  # a Stop has no angle
+        return OneLeg(leg, [_OPS[each["op"]][round(each.get("angle_deg", 0) * 100)] for each in setpoints])
+
+
 def _read_leg(leg: int, payload: bytes) -> Command:
     sent: dict[str, Any] = _LEG_COMMAND.validate_json(payload)
-    frame = OneLeg(leg, [_OPS[each["op"]][round(each.get("angle_deg", 0) * 100)] for each in sent["servos"]])
+    frame = _leg_of(leg, sent["servos"])
     own = (frame,) if frame.moves else ()
     return Command(frame.servos, frames=own, source=sent["source"], sent_ms=sent["sent_ms"], lease=sent["lease"])
 
 
 def _read_legs(_: int, payload: bytes) -> Command:
     sent: dict[str, Any] = _LEGS_COMMAND.validate_json(payload)
-    frames: list[Frame] = []
+    targets: Targets = ()
+    own: tuple[Frame, ...] = ()
+    moves = True
     for leg, of_leg in sorted(sent["legs"].items()):
-        ops = [_OPS[each["op"]][round(each.get("angle_deg", 0) * 100)] for each in of_leg["servos"]]
-        frames.append(OneLeg(int(leg), ops))
-    targets = tuple(chain.from_iterable([frame.servos for frame in frames]))
-    own = tuple(frames) if all(frame.moves for frame in frames) else ()
-    return Command(targets, frames=own, source=sent["source"], sent_ms=sent["sent_ms"], lease=sent["lease"])
+        frame = _leg_of(int(leg), of_leg["servos"])
+        targets += frame.servos
+        own += (frame,)
+        moves = moves and frame.moves
+    source, sent_ms, lease = sent["source"], sent["sent_ms"], sent["lease"]
+    return Command(targets, frames=own if moves else (), source=source, sent_ms=sent_ms, lease=lease)
 
 
 def _read_reset(_: int, payload: bytes) -> Reset:

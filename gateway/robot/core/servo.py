@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 
 from gateway.model.calibration import RobotCalibration
 from gateway.model.frames import OP_SET, OP_START, SETS, STARTS, ServoOp
-from gateway.robot.core.events import NOBODY, Command, Sender
+from gateway.robot.core.events import NOBODY, Command, Sender, Targets
 
 
 class Life(StrEnum):
@@ -142,12 +142,6 @@ class Servo:  # mutants accepted (Step): set before it is read
         self.target = self.pace_cdeg_s = self.from_cdeg = self.passing_cdeg = None
         return op
 
-    def moved(self, op: ServoOp, now_ns: int) -> None:
-        """Record a frame that moves a running servo without a target to another angle."""
-        if self.life is not RUNNING or self.target is not None:
-            raise IllegalTransition(f"servo {self.servo_id} is {self.life}, and a frame moves it")
-        self.angle_cdeg, self.since_ns = op.angle_cdeg, now_ns
-
     def wrote_step(self, op: ServoOp, since_ns: int, passing_cdeg: int | None) -> None:
         """Record a frame with a step towards its target. The time for the next step begins at `since_ns`."""
         target = self.newest
@@ -177,3 +171,12 @@ class Servo:  # mutants accepted (Step): set before it is read
             self.known = Known(self.angle_cdeg, now_ns, calibration)
         self.life = OFF
         self.angle_cdeg = self.target = self.from_cdeg = self.passing_cdeg = self.pace_cdeg_s = None
+
+
+def moved(servos: Mapping[int, Servo], targets: Targets, now_ns: int) -> None:
+    """Record frames that move running servos without a target to other angles. Ends at the first that is no such."""
+    for servo_id, op in targets:
+        servo = servos[servo_id]
+        if servo.life is not RUNNING or servo.target is not None:
+            raise IllegalTransition(f"servo {servo_id} is {servo.life}, and a frame moves it")
+        servo.angle_cdeg, servo.since_ns = op.angle_cdeg, now_ns

@@ -71,6 +71,7 @@ from gateway.robot.core.legs import Halt, Legs, moves_of
 from gateway.robot.core.outside import Outside
 from gateway.robot.core.power_rule import PowerRule
 from gateway.robot.core.rules import Rules
+from gateway.robot.core.servo import moved
 from gateway.robot.core.watchdog import Watchdog
 from schemas.telemetry import Cause, Kind, Mode, Reason
 
@@ -247,13 +248,11 @@ class Supervisor:
                 return None
         if limits.limited and not limits.are_free(command.targets):
             return None
-        servos = legs.servos
+        moved(legs.servos, command.targets, now_ns)
         for frame in frames:
             leg = by_number[frame.leg]
             leg.commanded_ns = now_ns
             leg.slots.take(now_ns)
-            for servo_id, op in frame.servos:
-                servos[servo_id].moved(op, now_ns)
         command.left = 0
         legs.instant_ns = instant_ns
         if token is not None:

@@ -21,7 +21,7 @@ from gateway.robot.core.gates.rate import RateSlots
 from gateway.robot.core.leg import leg_at_rest
 from gateway.robot.core.pace import Paces, step
 from gateway.robot.core.rules import Rules
-from gateway.robot.core.servo import AFTER, OFF, RUNNING, WAITING, IllegalTransition, Life, Servo
+from gateway.robot.core.servo import AFTER, OFF, RUNNING, WAITING, IllegalTransition, Life, Servo, moved
 
 
 def sent_at(period_ns: int, arrivals_ns: list[int]) -> list[int]:
@@ -268,7 +268,7 @@ def test_only_a_running_servo_without_a_target_goes_the_usual_way() -> None:
         servo = in_state(life)
         before = values(servo)
         with pytest.raises(IllegalTransition):
-            servo.moved(SETS[40_00], 9)
+            moved({servo.servo_id: servo}, ((servo.servo_id, SETS[40_00]),), 9)
         assert values(servo) == before
 
 
