@@ -2,7 +2,9 @@
 
 import socket
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent import futures
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Final
 
@@ -10,6 +12,7 @@ import httpx
 import pytest
 
 from gateway.client import Client
+from gateway.people.console.server.sessions import Sessions
 from tests.support.camera_server import CameraServer
 from tests.support.console_process import NOBODY, Console, Page, SignedIn
 from tests.support.fixtures import camera_fixture, client_fixture, gateway_fixture, patient, session_fixture
@@ -71,11 +74,13 @@ def test_a_picture_that_stands_still_moves_nothing_and_a_new_press_by_a_fresh_on
         pad = Pad(page)
         pad.hold(forward_m_s=0.06)
         pad.send()
-        assert "no picture was shown yet" in walk(page, lambda message: message["press"] == pad.press)["detail"]
+        rejected = walk(page, lambda message: message["press"] == pad.press)
+        assert rejected["posture"] is None, "no walk begins"
+        assert "no picture was shown yet" in rejected["detail"]
+        shown.next()  # on its way: the page shows it once it asks for the next
         answer = page.ask("hexapod/leg/3/cmd", {"servos": [{"op": "start", "angle_deg": 90}] * 3})
         assert "no picture was shown yet" in answer["ack"]["detail"]
-        for _ in range(2):
-            shown.next()
+        shown.next()
         with meanwhile(pad.send, STEP_S):
             with meanwhile(shown.next):
                 walks(page, pad)
@@ -146,15 +151,20 @@ def test_a_page_has_one_request_at_a_time_also_while_it_does_not_read(console: C
 
 
 def test_a_session_that_is_signed_out_gets_no_picture(gateway: Gateway, camera: CameraServer, tmp_path: Path) -> None:
-    """Also none for a request that waits for one."""
+    """A request that waits for a picture gets none, too."""
     with Console(tmp_path, "--connect", gateway.endpoint, "--camera", f"front={camera.url}") as console:
         session = console.sign_in()
-        with console.page(session) as page, ThreadPoolExecutor(1) as waiting:
-            assert status(console, session, page=page.hello["page"]) == 200
+        with console.page(session) as page, ExitStack() as stack:
+            shown = [stack.enter_context(Shown(console, session, page)) for _ in range(2)]
+            waiting = stack.enter_context(ThreadPoolExecutor(2))
+            shown[0].next()
+            stack.callback(camera.frozen.clear)
             camera.frozen.set()
-            try:
-                asked = waiting.submit(status, console, session, page=page.hello["page"])
-                console.run("--sign-out")
-                assert asked.result() == 403
-            finally:
-                camera.frozen.clear()
+            while shown[0].ask().status_code != 202:
+                pass
+            rejected, waits = futures.wait([waiting.submit(each.ask) for each in shown], return_when=FIRST_COMPLETED)
+            assert [each.result().status_code for each in rejected] == [409]
+            Sessions(tmp_path, console.port).revoke()
+            camera.frozen.clear()
+            assert [each.result().status_code for each in waits] == [403]
+            assert shown[0].ask().status_code == 403
