@@ -83,7 +83,7 @@ _REJECTING: Final = {
 }
 """The modes in which every command is rejected, and why."""
 _STOPS_ALL: Final = frozenset({BusOpened, BusFailed, ShutDown})
-"""These events, and a Halt, void due deadlines."""
+"""These events, and a Halt, void due deadlines, and reject what waits for a reason of their own."""
 _NOT_AT_THE_END: Final = frozenset({LeaseRequest, ButtonRequest, PowerSeen})
 ORDER: tuple[type[Interlock[Any]], ...] = (
     Outside,
@@ -189,7 +189,7 @@ class Supervisor:
         if halt is not None:
             effects += self._stop_all(halt, now_ns)
         # 5. starts that are judged
-        if self.backlog.held:
+        if self.backlog.held and kind not in _STOPS_ALL:
             effects += self.backlog.expire(now_ns)
         # 6. the event
         effects += self._take(event, now_ns) if own is None else self._take_own(own, event, now_ns)

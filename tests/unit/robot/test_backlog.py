@@ -12,7 +12,7 @@ import pytest
 from gateway.model.frames import STOP, Op, ServoOp, servo_ids_of
 from gateway.rate_limit import NS_PER_MS
 from gateway.robot.core.backlog import START_WAIT_NS
-from gateway.robot.core.events import BusOpened, Command, Rejected, TimePassed, Transmit
+from gateway.robot.core.events import BusFailed, BusOpened, Command, Rejected, ShutDown, TimePassed, Transmit
 from gateway.robot.core.message import Verb
 from gateway.robot.core.rules import Rules
 from gateway.robot.core.supervisor import Supervisor
@@ -399,3 +399,15 @@ def test_a_start_that_waits_for_its_judgement_gets_no_power() -> None:
     robot = Robot(Rules(start_wait_ns=START_WAIT_NS, power=True, feed_ns=1800 * NS_PER_MS))
     robot.run(delivered(held_back([leg_command(1)], 100, 1000, starts=True), 0), 30)
     assert robot.supervisor.legs.to_feed() == {}
+
+
+@pytest.mark.parametrize(("event", "reason"), [(BusFailed("gone"), "bus_fault"), (ShutDown(), "stopping")])
+def test_a_start_that_waits_for_its_judgement_ends_with_the_reason_of_what_stops_all(
+    event: BusFailed | ShutDown, reason: str
+) -> None:
+    """The judgement is due at the same time."""
+    robot = Robot(Rules(start_wait_ns=START_WAIT_NS))
+    robot.run(delivered(held_back([leg_command(1)], 100, 100, starts=True), 0), 30)
+    assert robot.supervisor.backlog.held
+    effects = robot.supervisor.step(event, _ns(100))
+    assert [each.reason for each in effects if isinstance(each, Rejected)] == [reason]
