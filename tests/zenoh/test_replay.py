@@ -89,8 +89,8 @@ def frozen(scene: Scene) -> None:
     scene.wait(Mode.IDLE)
 
 
-LANDS = {"watchdog": {"landing_ms": 600, "timeout_ms": 250}}
-SHORT = {"watchdog": {"timeout_ms": 250}}
+LANDS = {"watchdog": {"landing_ms": 600, "timeout_ms": 700}}
+SHORT = {"watchdog": {"timeout_ms": 700}}
 PLUGGED: Mapping[str, Any] = {"wire": {}}
 POWERED: Mapping[str, Any] = {**PLUGGED, "power": {}}
 SCENES: dict[str, tuple[str, Mapping[str, Any], Callable[[Scene], object]]] = {
