@@ -20,6 +20,8 @@ Point = tuple[float, float]
 MARGIN_M: Final = 0.010
 """How far inside the polygon the centre of mass stays."""
 _ROUNDING_M: Final = 1e-9
+ROUNDED_M: Final = 0.0001
+"""The heights of standing feet differ by up to this, since angles are known to hundredths of a degree."""
 
 
 def centre_of_mass(robot: Robot, body: BodyPose, joints_rad: Mapping[int, Angles]) -> Vector:
@@ -105,7 +107,7 @@ class Planner:
     def _plans(self, figure: Figure, goal: Stance) -> Iterator[list[Move]]:
         """Yield plans: lower hanging feet, go to a height at which all feet can step, step, and take the pose."""
         body, feet = figure.body, figure.feet
-        hanging = [leg for leg in LEGS if feet[leg][2] > 0.0]
+        hanging = [leg for leg in LEGS if feet[leg][2] > ROUNDED_M]
         begin = [lowered(feet, hanging)] if hanging else []
         down = {leg: (x, y, 0.0) for leg, (x, y, _) in feet.items()}
         needed = list(steps(down, goal.feet))

@@ -226,3 +226,13 @@ def test_an_engine_rests_until_it_is_asked_and_its_first_angles_are_those_that_i
     assert engine.posture is Posture.LYING
     assert engine.step(STILL, 0.02) == engine.pose == Planner(ROBOT).found({}).pose
     assert (engine.limit, engine.scaled, engine.commanded) == ("", STILL, STILL)
+
+
+@pytest.mark.parametrize("height_mm", range(120, 175, 5))
+def test_a_robot_found_standing_sits_down_on_all_its_feet(height_mm: int) -> None:
+    """Its angles are reported in hundredths of a degree. No leg is bent in the air: that is for feet out of reach."""
+    planner, stance = Planner(ROBOT), ROBOT.stance(BodyPose(height_mm / 1000))
+    figure = Figure(stance.body, dict(stance.feet), {})
+    figure.place(ROBOT, LEGS)
+    found = planner.found({leg: (round(a, 2), round(b, 2), round(c, 2)) for leg, (a, b, c) in figure.pose.items()})
+    assert not [move for move in planner.way(found, None) if isinstance(move, Bend)]
