@@ -61,7 +61,7 @@ from schemas.telemetry import CertificateReport
 BEAT_S = 0.1
 """Period of a beat: measure the loop's lag, notify systemd, publish state and telemetry. It suits people who watch a
 page. A systemd watchdog may need a shorter period."""
-REST_BEAT_S: Final = 0.25
+REST_BEAT_S: Final = 0.3
 """The same while nothing runs and nobody listens: a wake of an idle processor takes half as long as a beat's work."""
 
 SERVOS_FILE: Final = "servos"

@@ -53,6 +53,8 @@ REOPEN_S: Final = 0.02
 it is not known whether the legs are stopped. The first attempt comes at once, since after a fault a controller needs
 the preamble ahead of these Stops (docs/protocol.md), and no pause."""
 
+LATE_S: Final = 0.2
+"""How late a beat may be on a busy machine."""
 _KINDS: Final[dict[type[SpiError], Kind]] = {
     ControllerSilentError: Kind.CONTROLLER_SILENT,
     ControllerRestartedError: Kind.CONTROLLER_RESTARTED,
@@ -190,12 +192,12 @@ class Conductor:
     def rests(self, gap_s: float) -> bool:
         """Return whether nothing needs a beat within `gap_s`.
 
-        Nothing runs, neither a board nor a wire with cycles can fall silent, and a late beat does not look like a pause
-        of the process.
+        Nothing runs, neither a board nor a wire with cycles can fall silent, and a beat that is late by up to LATE_S
+        does not look like a pause of the process.
         """
         if self.supervisor.mode is not Mode.IDLE or self.supply is not None or self.bus.cycle is not None:
             return False
-        return self._staleness is None or 2 * gap_s * 1000 <= self._staleness.pause_ms
+        return self._staleness is None or (gap_s + LATE_S) * 1000 <= self._staleness.pause_ms
 
     def record_alive(self) -> int:
         """Return now (ns) and record that the process runs. Call it at each beat: a gap shows that it did not."""
