@@ -104,9 +104,8 @@ class Console:
             if found is None:
                 return web.Response(status=202, text=self._cameras[name].trouble, headers=HEADERS)
             page.camera.sent = found
-            taken_ms = (found.taken_ns - asked_ns) / NS_PER_MS
-            about = {"X-Picture": str(found.taken_ns), "X-Taken-Ms": f"{taken_ms:.1f}", "Content-Type": "image/jpeg"}
-            response = web.Response(body=found.jpeg, headers=HEADERS | about)
+            about = {"X-Picture": str(found.taken_ns), "X-Taken-Ms": str((found.taken_ns - asked_ns) / NS_PER_MS)}
+            response = web.Response(body=found.jpeg, headers=HEADERS | about, content_type="image/jpeg")
             with suppress(ConnectionError):
                 await response.prepare(request)
                 await response.write_eof()

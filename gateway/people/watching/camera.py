@@ -96,8 +96,8 @@ class Ages:
         late_ns = _seconds(headers, "x-ustreamer-latency") * NS_PER_S
         if sent_s := _seconds(headers, "x-timestamp"):
             apart_ns = now_ns - sent_s * NS_PER_S
-            self._least_ns = min(apart_ns, self._least_ns + DRIFT * (now_ns - self._before_ns))
-            self._before_ns = now_ns
+            drifted_ns = self._least_ns + DRIFT * (now_ns - self._before_ns)
+            self._least_ns, self._before_ns = min(apart_ns, drifted_ns), now_ns
             late_ns += apart_ns - self._least_ns
         if late_ns > MAX_LATE_NS:
             raise CameraError("sends old pictures, or its clock was set")
@@ -182,8 +182,7 @@ def cameras(named: Sequence[str]) -> dict[str, Camera]:
     """Return the cameras of `URL` and `NAME=URL`, by name. Raises ConfigError."""
     found = dict[str, Camera]()
     for each in named:
-        match = _NAMED.fullmatch(each)
-        if match is None:
+        if (match := _NAMED.fullmatch(each)) is None:
             raise ConfigError("--camera is no URL of an MJPEG stream, such as http://127.0.0.1:8081/stream")
         name = match["name"] or "camera"
         if name in found:

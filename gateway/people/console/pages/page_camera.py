@@ -16,8 +16,7 @@ class PageCamera:
         self._stale_ns = stale_ms * NS_PER_MS
         self._name: str | None = None
         self._taken_ns: int | None = None
-        self.sent: Picture | None = None
-        """The newest picture that was sent to the page."""
+        self.sent: Picture | None = None  # the newest one
 
     def show(self, name: str | None) -> None:
         """Record that the page shows this camera from now on; None: it shows none."""
@@ -29,12 +28,18 @@ class PageCamera:
         if name == self._name and self.sent is not None and number == str(self.sent.taken_ns):
             self._taken_ns = self.sent.taken_ns
 
+    def left_s(self, now_ns: int) -> float:
+        """Return how long the picture may still be driven by; inf without a camera. For any thread."""
+        taken_ns = self._taken_ns
+        if self._name is None or not self._stale_ns:
+            return float("inf")
+        return 0.0 if taken_ns is None else max(0.0, (taken_ns + self._stale_ns - now_ns) / NS_PER_S)
+
     def bars(self, now_ns: int) -> str:
         """Return why nothing may be driven by the picture, without a full stop; "" if it may. For any thread."""
-        name, taken_ns = self._name, self._taken_ns
-        if name is None or not self._stale_ns:
+        taken_ns = self._taken_ns
+        if self.left_s(now_ns):
             return ""
         if taken_ns is None:
             return "no picture was shown yet; wait for one, or hide the camera"
-        age_ns = now_ns - taken_ns
-        return "" if age_ns < self._stale_ns else f"the picture was {age_ns / NS_PER_S:.1f} s old"
+        return f"the picture was {(now_ns - taken_ns) / NS_PER_S:.1f} s old"

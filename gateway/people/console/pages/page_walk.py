@@ -37,8 +37,8 @@ SIT_S: Final = 5.0
 PRESSLESS_S: Final = 60.0
 SILENCES: Final = Silences(hold_s=WISH_SILENT_S, rest_s=SIT_S, idle_s=PRESSLESS_S, halted_s=WISH_SILENT_S + SIT_S)
 SETPOINTS_HZ: Final = 50.0
-WISH_WAIT_S: Final = 0.01
-"""How long the thread waits for a wish before it looks at the silence and at the picture's age."""
+WISH_WAIT_S: Final = 0.05
+"""How long the thread waits for a wish before it looks at the silence."""
 REPORT_S: Final = 0.1
 
 _log: Final = logging.getLogger(__name__)
@@ -154,7 +154,8 @@ class PageWalks:
         """Give the ride the newest wish, that its picture is too old, or the page's end."""
         with self._changed:
             if self._wish is None:
-                self._changed.wait(WISH_WAIT_S)
+                fresh_s = self._camera.left_s(time.monotonic_ns())
+                self._changed.wait(min(WISH_WAIT_S, fresh_s or WISH_WAIT_S))
             taken, self._wish = self._wish, None
         if taken is not None:
             self._newest, self._came_s = taken

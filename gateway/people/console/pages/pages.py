@@ -185,9 +185,8 @@ class Page:
         self.names: tuple[str, ...] = (*(() if former is None else former.names), self.source)[-MAX_NAMES:]
         self.outgoing = Outgoing()
         self.camera = PageCamera(shared.stale_ms)
-        self.secret = secrets.token_urlsafe()
-        """Names the page in its requests for pictures, of which one at a time may be open."""
-        self.picture_request = asyncio.Lock()
+        self.secret = secrets.token_urlsafe()  # names the page in its requests for pictures
+        self.picture_request = asyncio.Lock()  # one at a time
         self._role = role
         self._shared = shared
         self._former = former
