@@ -18,7 +18,7 @@ from typing import Final, NamedTuple
 import aiohttp
 
 from gateway.errors import ConfigError
-from gateway.rate_limit import NS_PER_S
+from gateway.rate_limit import NS_PER_S, RateLimit
 
 MAX_CAMERAS: Final = 4
 MAX_JPEG_BYTES: Final = 1_000_000
@@ -54,7 +54,7 @@ class Picture(NamedTuple):
 async def stream_parts(more: Callable[[], Awaitable[bytes]], boundary: str) -> AsyncIterator[tuple[Message, bytes]]:
     """Yield the headers and the JPEG of each part of a stream, whose next bytes `more` returns. Raises CameraError."""
     delimiter = b"--" + boundary.strip("-").encode("latin-1", "replace")  # some servers' boundary has the dashes
-    unread = bytearray()
+    unread, allowance = bytearray(), RateLimit(BYTES_A_SECOND, BYTES_A_SECOND)
 
     async def take(end: bytes | int, most: int, why: str) -> bytes:
         """Return the bytes before the mark `end`, or `end` bytes. Raise CameraError with `why` for more than `most`."""
@@ -80,7 +80,8 @@ async def stream_parts(more: Callable[[], Awaitable[bytes]], boundary: str) -> A
         if not (jpeg := body[4:]).startswith(b"\xff\xd8"):
             raise CameraError("sends something other than JPEGs")
         yield headers, jpeg
-        await asyncio.sleep((MAX_HEAD_BYTES + len(jpeg)) / BYTES_A_SECOND)
+        while not allowance.take(time.monotonic_ns(), MAX_HEAD_BYTES + len(jpeg)):  # noqa: ASYNC110
+            await asyncio.sleep(len(jpeg) / BYTES_A_SECOND)
 
 
 class Ages:
@@ -151,7 +152,6 @@ class Camera:
         self._newest = None
 
     async def _fetch(self) -> None:
-        """Fetch until nobody asks. Raises CameraError, TimeoutError, aiohttp.ClientError, OSError, ValueError."""
         async with (
             asyncio.timeout(SILENT_S) as silence,
             aiohttp.ClientSession(auto_decompress=False, timeout=aiohttp.ClientTimeout()) as session,
