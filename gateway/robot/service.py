@@ -376,7 +376,7 @@ class _Service:
             self.end.because("the thread that receives from the power board is stuck")
         else:
             self.notifier.alive()
-            rests = not wanted and self.inbox.waits and conductor.rests(REST_BEAT_S)
+            rests = not wanted and self.inbox.is_quiet and conductor.rests(REST_BEAT_S)
             period_s = REST_BEAT_S if rests else BEAT_S
             due_s = self.loop.time() + min(period_s, self.notifier.ping_period_s or period_s)
             self._beat_at(due_s)

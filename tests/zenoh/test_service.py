@@ -8,7 +8,7 @@ import signal
 import socket
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +47,9 @@ def test_the_service_prints_that_it_is_ready_where_and_what_to_try_and_its_token
         del subscriber
 
 
-def test_an_idle_gateway_beats_seldom_and_one_whose_legs_run_ten_times_a_second(tmp_path: Path) -> None:
+def test_a_gateway_beats_seldom_only_while_no_leg_runs_and_no_message_comes(
+    tmp_path: Path,
+) -> None:
     """The first beat after a start is early, too. Each beat writes its time into a file."""
     file = tmp_path / SERVOS_FILE
 
@@ -55,15 +57,17 @@ def test_an_idle_gateway_beats_seldom_and_one_whose_legs_run_ten_times_a_second(
         wait_until(lambda: file.read_text() != before)
         return file.read_text()
 
-    def periods_s(beats: int) -> Iterator[float]:
+    def periods_s(beats: int, happens: Callable[[], object] = lambda: None) -> Iterator[float]:
         text = next_beat(file.read_text())
         for _ in range(beats):
+            happens()
             before, text = text, next_beat(text)
             yield (int(text.split()[0]) - int(before.split()[0])) / 1e9
 
     with Gateway(tmp_path, {"watchdog": {"timeout_ms": 10_000}}, env={"RUNTIME_DIRECTORY": str(tmp_path)}) as gateway:
         assert min(periods_s(4)) > 0.9 * REST_BEAT_S
         with gateway.client() as client:
+            assert min(periods_s(4, lambda: client.set_leg(1, 90, 45, 120, check=False))) < 0.5 * REST_BEAT_S
             after_s: list[float] = []
             for _ in range(3):
                 beat = next_beat(file.read_text())

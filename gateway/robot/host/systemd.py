@@ -11,8 +11,9 @@ NOTIFY_SOCKET: Final = "NOTIFY_SOCKET"
 WATCHDOG: Final = "WATCHDOG_USEC"
 VARIABLES: Final = (NOTIFY_SOCKET, WATCHDOG, "WATCHDOG_PID")
 """What a child must not inherit, or it could notify in this process's name."""
-PINGS_PER_TIMEOUT = 4
-"""More than one, so that a late or lost ping does not kill a working service."""
+PINGS_PER_TIMEOUT = 5
+"""More than one, so that a late or lost ping does not kill a working service. With WatchdogSec=1 the SPI may fail for
+0.7 s (`spi/bus.py`) after the latest one."""
 
 HANGS_AFTER: Final = 3
 """The kernel ends the process after this many watchdog periods without `alive`; systemd does so after one. But
@@ -40,7 +41,7 @@ class SystemdNotifier:
         self._timeout_us = int(environment.get(WATCHDOG, 0)) if watched else 0
         """systemd's watchdog period; 0: there is no watchdog."""
         self.ping_period_s: Final = self._timeout_us / 1e6 / PINGS_PER_TIMEOUT if self._timeout_us else None
-        """How often to call `alive`: a quarter of systemd's watchdog period. None: there is no watchdog."""
+        """How often to call `alive`: a fifth of systemd's watchdog period. None: there is no watchdog."""
 
     def ready(self, status: str) -> None:
         """Report that commands are accepted from now on. Resets systemd's watchdog to the unit's period."""

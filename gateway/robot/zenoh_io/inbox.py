@@ -90,6 +90,10 @@ class Inbox(Messages):
         self._woken: dict[str, int] = {}
         """Wakeups for each key since the last tick."""
         self._read_all = False
+        self._woke = False
+        """Whether a wakeup has come since the latest beat."""
+        self.is_quiet = False
+        """Whether none had come, and no receiver thread handled an item, at the latest beat."""
         self._poll_again = OwnersTimer(loop, owner, self._poll_now)
         self._attempt = 0
         self._closing = OwnersTimer(loop, owner, on_wakeup)
@@ -166,14 +170,10 @@ class Inbox(Messages):
 
     def makes_progress(self) -> bool:
         """Return whether all threads run, and the receiver threads make progress. Call it once a beat, as owner."""
+        self.is_quiet, self._woke = not self._woke and not any(each.at_work for each in self._receivers), False
         self._wake()  # all rings are read: a message may have come before its wakeup, or long after it
         progress = [receiver.makes_progress() for receiver in self._receivers]  # each counts its beats
         return all(progress) and all(worker.runs for worker in self._workers)
-
-    @property
-    def waits(self) -> bool:
-        """Whether no receiver thread handles an item."""
-        return not any(receiver.at_work for receiver in self._receivers)
 
     def close(self) -> None:
         """Undeclare everything, which ends the receiver threads, and join them.
@@ -214,6 +214,7 @@ class Inbox(Messages):
 
     # mutants accepted (Forget): freed a moment later
     def _on_wakeup(self, item: _Item, received_ns: int) -> float | None:
+        self._woke = True
         self._note(item, received_ns)
         del item
         # The wakeups are emptied before the rings are read, so that a message in between wakes again. Wakeups that
