@@ -32,7 +32,11 @@ from gateway.people.client.stream import Stream
 from gateway.people.client.walk import Walk
 from gateway.people.walking.motion import Odometry, Posture, WalkState
 from gateway.words.own_command import DEFAULT_ENDPOINT
-from schemas.telemetry import Ack, Battery, Event, FrameRecord, GatewayState, Imu, Kind, Reason, Telemetry
+from schemas.ack import Ack
+from schemas.event import Event, FrameRecord
+from schemas.gateway_state import GatewayState
+from schemas.telemetry import Battery, Imu, Telemetry
+from schemas.words import Kind, Reason
 
 __all__ = [
     "DEFAULT_ENDPOINT",

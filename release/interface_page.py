@@ -17,7 +17,7 @@ from gateway.cli import app
 from gateway.onboard import setup_command as setup
 from release.settings_page import ROOT, schema, settings_rows
 from schemas import __main__ as messages
-from schemas.telemetry import Cause, Kind, Mode, Reason, Value, WatchdogState
+from schemas.words import Cause, Kind, Mode, Reason, Value, WatchdogState
 
 PAGE, SCHEMA = ROOT / "docs/interface.md", ROOT / "docs/settings.schema.json"
 Rows = Iterable[tuple[str, ...]]

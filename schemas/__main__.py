@@ -7,13 +7,17 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
+from schemas.ack import Ack
 from schemas.button import BUTTON_REQUEST, ButtonAck
 from schemas.calibration import Calibration, CalibrationCommand
 from schemas.command import SERVO_COMMAND, LegCommand, LegsCommand, ResetCommand
+from schemas.config import ConfigReport
+from schemas.event import Event, FrameRecord
 from schemas.lease import LEASE_REQUEST, LeaseAck
 from schemas.revocation import RevocationAck, RevocationRequest
+from schemas.simulation import BodyReport
 from schemas.state import StateReport
-from schemas.telemetry import Ack, BodyReport, ConfigReport, Event, FrameRecord, Telemetry
+from schemas.telemetry import Telemetry
 
 FOLDER = Path(__file__).with_name("json")
 

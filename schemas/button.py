@@ -4,9 +4,10 @@ from typing import Annotated, Final, Literal
 
 from pydantic import ConfigDict, Field, TypeAdapter
 
+from schemas.ack import Answer
 from schemas.command import MAX_NUMBER, Closed, SentMs, Source, hex_digits
 from schemas.lease import Challenge, Proof
-from schemas.telemetry import Answer, Count
+from schemas.report import Count
 
 ButtonToken = Annotated[str, hex_digits("token of the registration, a secret")]
 """A secret: in no report, log line or repr."""

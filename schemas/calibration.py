@@ -9,8 +9,8 @@ from typing import Annotated, Final, Literal, get_args
 from pydantic import Field
 
 from schemas.command import AngleDeg, Closed, Sender
+from schemas.report import Count, Report
 from schemas.robot import SERVO_IDS
-from schemas.telemetry import Count, Report
 
 MAX_TRIM_DEG: Final = 90.0
 """A horn that is further off is mounted a quarter of a turn wrong; move it by hand."""

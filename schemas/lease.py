@@ -4,8 +4,8 @@ from typing import Annotated, Final, Literal
 
 from pydantic import ConfigDict, Field, TypeAdapter
 
+from schemas.ack import Answer
 from schemas.command import Closed, LeaseToken, Source, hex_digits
-from schemas.telemetry import Answer
 
 Nonce = Annotated[str, hex_digits("from a challenge; valid once, for 5 s")]
 

@@ -4,8 +4,8 @@ from typing import Annotated, Final
 
 from pydantic import Field
 
+from schemas.ack import Answer
 from schemas.command import Closed
-from schemas.telemetry import Answer
 
 MAX_REVOCATION_BYTES: Final = 16_000
 """Some 125 revoked certificates. The Zenoh files of `certs` allow 16 384 bytes. Copy a longer list as a file."""

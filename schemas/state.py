@@ -10,18 +10,11 @@ from typing import Annotated, Final, TypeVar
 
 from pydantic import Field
 
+from schemas.config import ConfigReport
+from schemas.gateway_state import ChangingState, GatewayState, LegReport, ServoReport
+from schemas.report import CUT, Report, Six
 from schemas.robot import JOINTS, LEGS
-from schemas.telemetry import (
-    CUT,
-    AnyWatchdogState,
-    ChangingState,
-    ConfigReport,
-    GatewayState,
-    LegReport,
-    Report,
-    ServoReport,
-    Six,
-)
+from schemas.words import AnyWatchdogState
 
 MAX_STATE_BYTES: Final = 2048
 MOST_BUTTONS: Final = 16

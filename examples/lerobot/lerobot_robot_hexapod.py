@@ -17,7 +17,7 @@ from lerobot.teleoperators import Teleoperator, TeleoperatorConfig
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
 from gateway.client import Client, GatewayError, GatewayState, Stream, Telemetry, Walk
-from schemas.telemetry import Mode
+from schemas.words import Mode
 
 SERVOS = [10 * leg + joint for leg in range(1, 7) for joint in (1, 2, 3)]
 ANGLES = [f"joint_{servo}.pos" for servo in SERVOS]

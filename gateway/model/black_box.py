@@ -33,7 +33,7 @@ from typing import Any, Final, NamedTuple
 
 from gateway.model.frames import ServoOp, bytes_of
 from schemas.keys import COMMAND_KEYS
-from schemas.telemetry import Kind
+from schemas.words import Kind
 
 HEADER_BYTES: Final = 4096
 """One page, so that slots begin on a page boundary."""

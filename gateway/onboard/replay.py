@@ -42,7 +42,7 @@ from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.service import rules
 from gateway.robot.settings import Settings
 from gateway.words.text import legs_named
-from schemas.telemetry import Cause, Kind, Reason
+from schemas.words import Cause, Kind, Reason
 
 LEAD_NS: Final = 3_000_000_000
 """The first keyframe is this far before the incident, if one is left: the timeline has the last seconds before it."""

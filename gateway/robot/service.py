@@ -55,8 +55,8 @@ from gateway.robot.zenoh_io.receiver import OwnersTask
 from gateway.robot.zenoh_io.rings import put_depth
 from gateway.robot.zenoh_io.session import Upkeep, receive_each_session_alone, service_config
 from gateway.robot.zenoh_io.unknown_keys import UnknownKeys
+from schemas.config import CertificateReport
 from schemas.keys import CALIBRATION, CONFIG, STATE, TELEMETRY
-from schemas.telemetry import CertificateReport
 
 BEAT_S = 0.1
 """Period of a beat: measure the loop's lag, notify systemd, publish state and telemetry. It suits people who watch a

@@ -24,7 +24,7 @@ from gateway.robot.zenoh_io.connection_limiter import VISITORS, shut_down
 from gateway.zenoh.limits import MAX_SESSIONS
 from schemas import keys
 from schemas.command import MAX_PAYLOAD_BYTES
-from schemas.telemetry import Cause, Mode, Reason
+from schemas.words import Cause, Mode, Reason
 from tests.benchmarks.processes import fds, rss_kb, threads
 from tests.hil.bed import SpiTestbed
 from tests.hil.wire import STOPS

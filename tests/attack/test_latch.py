@@ -12,7 +12,8 @@ import zenoh
 from gateway.client import Client
 from gateway.people.client.payloads import leg_payload
 from schemas import keys
-from schemas.telemetry import Event, Kind, Mode, Reason
+from schemas.event import Event
+from schemas.words import Kind, Mode, Reason
 from tests.support.cut_link import CutLink
 from tests.support.fixtures import client_fixture, gateway_fixture
 from tests.support.gateway_process import Gateway

@@ -13,7 +13,7 @@ import pytest
 
 from gateway.errors import DisconnectedError
 from schemas.keys import BUTTON, LEASE
-from schemas.telemetry import Kind
+from schemas.words import Kind
 from tests.benchmarks.processes import flooding
 from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import Gateway

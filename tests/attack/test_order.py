@@ -14,7 +14,7 @@ from gateway.client import Client
 from gateway.people.client.payloads import leg_payload, legs_payload, servo_payload
 from schemas import keys
 from schemas.keys import LEGS_COMMAND, leg_command, servo_command
-from schemas.telemetry import Kind
+from schemas.words import Kind
 from tests.benchmarks.processes import flooding, publishing
 from tests.support.cut_link import CutLink
 from tests.support.gateway_process import Gateway

@@ -7,7 +7,7 @@ import pytest
 from gateway.client import Client
 from gateway.people.ros2.driving import NO_RESET
 from gateway.people.ros2.messages import Twist, Vector3
-from schemas.telemetry import Mode
+from schemas.words import Mode
 from tests.support.bridged import PATIENT
 from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import Gateway

@@ -12,7 +12,7 @@ import zenoh
 from gateway.client import Client
 from gateway.zenoh.config import client_config, open_session
 from schemas import keys
-from schemas.telemetry import Mode
+from schemas.words import Mode
 from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import Gateway, dialling, free_port
 

@@ -7,7 +7,8 @@ import pytest
 from playwright.sync_api import Browser, expect
 
 from gateway.client import Client
-from schemas.telemetry import GatewayState, Kind, Mode
+from schemas.gateway_state import GatewayState
+from schemas.words import Kind, Mode
 from tests.console.browser import COUNTS, Opened, Visitor
 from tests.support.child import frozen
 from tests.support.console_process import Console

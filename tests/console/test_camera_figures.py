@@ -17,7 +17,7 @@ import pytest
 from playwright.sync_api import Browser, expect
 
 from gateway.model.frames import decode
-from schemas.telemetry import FrameRecord
+from schemas.event import FrameRecord
 from tests.console.browser import LET_GO, Visitor, walks
 from tests.console.test_walk import push
 from tests.support import camera_server

@@ -10,7 +10,7 @@ from playwright.sync_api import Browser, expect
 
 from gateway.client import Client
 from gateway.model.frames import OneLeg, Op, ServoOp, decode
-from schemas.telemetry import FrameRecord
+from schemas.event import FrameRecord
 from tests.console.browser import GAMEPAD, Opened, Visitor, again
 from tests.support.console_process import Console
 from tests.support.cut_link import CutLink

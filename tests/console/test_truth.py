@@ -15,7 +15,7 @@ import pytest
 from playwright.sync_api import Browser
 
 from gateway.model.frames import OneLeg, decode
-from schemas.telemetry import FrameRecord
+from schemas.event import FrameRecord
 from tests.console.browser import Opened, Visitor, walks
 from tests.support.child import frozen
 from tests.support.console_process import Console

@@ -20,7 +20,7 @@ from gateway.model.black_box import RING_FILE
 from gateway.model.frames import Frame, Framing, OneLeg, OneServo, Op, ServoOp, decode
 from gateway.people.incidents import ring_reader as rec
 from schemas.robot import LEGS
-from schemas.telemetry import Cause
+from schemas.words import Cause
 from tests.benchmarks.processes import publishing
 from tests.hil.bed import SpiTestbed, Transfer
 from tests.hil.wire import EACH_FRAMING, STOPS, Replay, Wire, moving, opening_of, settings_for

@@ -19,7 +19,7 @@ import pytest
 from gateway.client import Client
 from gateway.model.elkapod import SHUTDOWN, START
 from schemas.robot import LEGS, SERVO_IDS
-from schemas.telemetry import Kind
+from schemas.words import Kind
 from tests.hil.bed import SpiTestbed, Transfer
 from tests.hil.wire import LATE_S
 from tests.support.controllers import Elkapod

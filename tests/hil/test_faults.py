@@ -17,8 +17,10 @@ from gateway.errors import SpiError
 from gateway.model.frames import Framing
 from gateway.people.client.payloads import leg_payload
 from schemas import keys
+from schemas.ack import Ack
+from schemas.event import Event
 from schemas.robot import LEGS
-from schemas.telemetry import Ack, Event, Kind, Mode, Reason, WatchdogState
+from schemas.words import Kind, Mode, Reason, WatchdogState
 from tests.hil.bed import SpiTestbed, Transfer
 from tests.hil.wire import EACH_FRAMING, LATE_S, START_3, STOPS, Replay, Wire, moving, opening_of, settings_for, start
 from tests.support.gateway_process import COMMAND, Gateway, write_settings

@@ -14,7 +14,7 @@ from gateway.client import Client
 from gateway.model.frames import Frame, Framing, Op, ServoOp, decode
 from schemas.keys import servo_command
 from schemas.robot import LEGS
-from schemas.telemetry import Kind, Mode, Reason
+from schemas.words import Kind, Mode, Reason
 from tests.hil.bed import SpiTestbed, Transfer
 from tests.hil.wire import LATE_S, Replay
 from tests.support.gateway_process import Gateway

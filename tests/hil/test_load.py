@@ -24,7 +24,7 @@ from gateway.people.client.payloads import leg_payload
 from gateway.zenoh.config import client_config
 from schemas.keys import EVENT, STATE, leg_command
 from schemas.robot import LEGS
-from schemas.telemetry import Mode
+from schemas.words import Mode
 from tests.benchmarks.processes import flooding, program
 from tests.benchmarks.publisher import payload
 from tests.hil.bed import SpiTestbed

@@ -16,7 +16,7 @@ import pytest
 from gateway.people.client.blocking import Client
 from schemas.keys import servo_command
 from schemas.robot import SERVO_IDS
-from schemas.telemetry import Kind, Mode, Reason
+from schemas.words import Kind, Mode, Reason
 from tests.hil.bed import SpiTestbed, Transfer
 from tests.hil.test_elkapod import ElkapodBed
 from tests.hil.wire import LATE_S, START_3, STOPS, Wire, start

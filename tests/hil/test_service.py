@@ -15,7 +15,7 @@ from gateway.errors import ConfigError, DeviceHeldError
 from gateway.model.frames import Framing
 from gateway.people.client.payloads import leg_payload
 from schemas import keys
-from schemas.telemetry import Kind, Mode, Reason
+from schemas.words import Kind, Mode, Reason
 from tests.hil.bed import DEVICE, Setting, SpiTestbed, Transfer
 from tests.hil.wire import EACH_FRAMING, LATE_S, START_3, STOPS, Wire, settings_for, start
 from tests.support.gateway_process import COMMAND, Gateway

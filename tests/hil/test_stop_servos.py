@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from schemas.robot import LEGS
-from schemas.telemetry import Kind, Reason
+from schemas.words import Kind, Reason
 from tests.hil.wire import LATE_S, STOPS, Replay, Wire, settings_for
 from tests.support.command import run_here
 from tests.support.gateway_process import COMMAND, Gateway, write_settings

@@ -16,8 +16,10 @@ from zenoh.handlers import RingChannel
 
 from gateway.client import Client
 from gateway.people.client.payloads import leg_payload
+from schemas.ack import Ack
+from schemas.event import Event, FrameRecord
 from schemas.keys import ALIVE, EVENT, FRAME, STATE, leg_command
-from schemas.telemetry import Ack, Cause, Event, FrameRecord
+from schemas.words import Cause
 from tests.net.namespaces import Network
 from tests.support.child import Child
 from tests.support.gateway_process import Gateway

@@ -16,7 +16,7 @@ import pytest
 from gateway.people.client.payloads import leg_payload
 from schemas.keys import leg_command
 from schemas.robot import LEGS
-from schemas.telemetry import Kind, Mode, Reason
+from schemas.words import Kind, Mode, Reason
 from tests.benchmarks.processes import flooding
 from tests.net.hosts import NICE, PORT, TIMEOUT_MS, LaptopHost, RobotHost, is_command, is_stop
 from tests.net.namespaces import BUFFER_BYTES, Network

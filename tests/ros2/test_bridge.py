@@ -12,7 +12,7 @@ from gateway.client import Client
 from gateway.people.ros2.messages import WARN, DiagnosticArray, JointState, String
 from gateway.people.ros2.robot import MEASURED
 from schemas import keys
-from schemas.telemetry import Kind, Mode
+from schemas.words import Kind, Mode
 from tests.support import published
 from tests.support.bridged import LONG_S, WALKING, clean, commanded, does, keeps, resting
 from tests.support.child import Child

@@ -9,7 +9,7 @@ import pytest
 
 from gateway.client import Client
 from gateway.people.ros2.messages import Header, JointState, Message, Odometry, Time, Twist, Vector3
-from schemas.telemetry import Kind, Mode
+from schemas.words import Kind, Mode
 from tests.support.bridged import (
     GEOMETRY,
     RESTS_DEG,

@@ -10,7 +10,7 @@ import pytest
 
 from gateway.client import Client
 from gateway.people.ros2.messages import DiagnosticArray, Imu, JointState, String, Twist
-from schemas.telemetry import Kind, Mode
+from schemas.words import Kind, Mode
 from tests.support.bridged import GEOMETRY, WALKING, does, keeps, resting, strides
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events, frames, running

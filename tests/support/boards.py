@@ -18,7 +18,7 @@ from gateway.host.settings_table import PowerSettings
 from gateway.model.power_board import ALL, SET_SUPPLY, SUPPLIED, CanFrame, set_supply
 from gateway.simulation.board import SimulatedBoard
 from gateway.simulation.board_port import Device, SimulatedAdapter
-from schemas.telemetry import GatewayState
+from schemas.gateway_state import GatewayState
 from tests.support.child import Child
 from tests.support.waiting import Closing
 

@@ -9,8 +9,9 @@ from gateway.geometry import joint_name, load
 from gateway.model.frames import Op
 from gateway.model.frames import decode as decode_frame
 from gateway.people.ros2.messages import JointState, Message, Twist, Vector3
+from schemas.event import FrameRecord
 from schemas.robot import SERVO_IDS
-from schemas.telemetry import Cause, FrameRecord
+from schemas.words import Cause
 from tests.support.fixtures import patient
 from tests.support.heard import Heard
 

@@ -13,7 +13,7 @@ from gateway.model.frames import Frame, OneLeg, OneServo, Op, ServoOp
 from gateway.robot.core.events import Calibrate, CalibrationSaved, Effect, SaveCalibration, Transmit
 from gateway.robot.core.rules import Rules
 from schemas.calibration import ServoChange
-from schemas.telemetry import Kind, Reason
+from schemas.words import Kind, Reason
 from tests.support.history import demand, is_announced, spelled_out
 
 

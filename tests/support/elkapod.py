@@ -9,7 +9,7 @@ from gateway.model.elkapod import SHUTDOWN, START
 from gateway.robot.spi import Wire
 from gateway.robot.spi.cyclic import CYCLE_HZ, CyclicBus
 from schemas.robot import LEGS, SERVO_IDS
-from schemas.telemetry import Kind
+from schemas.words import Kind
 from tests.support.controllers import Elkapod
 from tests.support.robot import MS, Robot, leg
 

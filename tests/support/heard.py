@@ -11,7 +11,10 @@ from pydantic import BaseModel
 from gateway.client import Client
 from gateway.model.frames import Op, decode
 from schemas import keys
-from schemas.telemetry import BodyReport, Cause, Event, FrameRecord, GatewayState
+from schemas.event import Event, FrameRecord
+from schemas.gateway_state import GatewayState
+from schemas.simulation import BodyReport
+from schemas.words import Cause
 
 R = TypeVar("R", bound=BaseModel)
 

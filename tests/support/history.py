@@ -9,7 +9,7 @@ from gateway.rate_limit import NS_PER_S
 from gateway.robot.core import events
 from gateway.robot.core.events import Transmit
 from gateway.robot.core.rules import Rules
-from schemas.telemetry import Cause, Kind, Mode, Reason
+from schemas.words import Cause, Kind, Mode, Reason
 
 CLOSED = {Mode.STOPPING: Reason.STOPPING, Mode.BUS_FAULT: Reason.BUS_FAULT, Mode.ESTOPPED: Reason.ESTOPPED}
 """Modes in which every command is rejected, and for what."""

@@ -50,7 +50,7 @@ from gateway.robot.core.servo import Servo
 from gateway.robot.core.stops import Repeats, StopSchedule
 from gateway.robot.core.supervisor import Supervisor
 from schemas.calibration import CalibrationCommand
-from schemas.telemetry import Kind, Mode, Reason
+from schemas.words import Kind, Mode, Reason
 from tests.support.calibration_history import CalibrationHistory
 from tests.support.history import STOP_SERVOS, Violation, cloned, demand, frames_of, numbered, speed_age_ns
 from tests.support.oracle import Oracle

@@ -32,7 +32,7 @@ from gateway.robot.core.events import (
     Transmit,
 )
 from gateway.robot.core.supervisor import Supervisor
-from schemas.telemetry import Cause, Kind, Reason
+from schemas.words import Cause, Kind, Reason
 from tests.support.history import (
     CLOSED,
     LandingHistory,

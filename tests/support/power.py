@@ -13,7 +13,7 @@ from gateway.robot.power.line import SHOWN, PowerLine
 from gateway.robot.service import BEAT_S
 from gateway.simulation.board import SimulatedBoard
 from schemas.robot import SERVO_IDS
-from schemas.telemetry import Kind
+from schemas.words import Kind
 from tests.support.elkapod import ElkapodRobot
 from tests.support.robot import Robot
 

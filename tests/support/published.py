@@ -8,24 +8,19 @@ from typing import Final
 from gateway.client import Client
 from gateway.model.elkapod import Measured
 from schemas import keys
-from schemas.robot import JOINTS, LEGS
-from schemas.telemetry import (
-    Battery,
+from schemas.event import Event
+from schemas.gateway_state import (
     CommandCounts,
-    Event,
     GatewayState,
-    Imu,
-    Kind,
     LegReport,
-    Mode,
-    Reason,
     ServoReport,
     SpiReport,
     StopLatency,
-    Telemetry,
     WatchdogReport,
-    WatchdogState,
 )
+from schemas.robot import JOINTS, LEGS
+from schemas.telemetry import Battery, Imu, Telemetry
+from schemas.words import Kind, Mode, Reason, WatchdogState
 from tests.support.waiting import meanwhile
 
 NS_PER_MS = 1_000_000

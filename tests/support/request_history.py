@@ -8,7 +8,7 @@ from gateway.rate_limit import NS_PER_MS
 from gateway.robot.core.events import ButtonRequest, Command, Effect, LeaseRequest
 from gateway.robot.core.message import Verb
 from gateway.robot.core.rules import Rules
-from schemas.telemetry import Kind, Reason
+from schemas.words import Kind, Reason
 from tests.support.history import announced, demand, judge_answer
 
 MOST_ASKERS = 8

@@ -28,10 +28,14 @@ from gateway.robot.settings import Settings
 from gateway.robot.spi import Batch, Wire
 from gateway.robot.spi.bus import Bus
 from schemas import keys
+from schemas.ack import Ack
 from schemas.button import ButtonAck
+from schemas.config import ConfigReport
+from schemas.event import Event, FrameRecord
+from schemas.gateway_state import GatewayState
 from schemas.lease import LeaseAck
 from schemas.state import StateReport, joined
-from schemas.telemetry import Ack, ConfigReport, Event, FrameRecord, GatewayState, Kind
+from schemas.words import Kind
 from tests.support.controllers import FaultyController
 
 MS = 1_000_000

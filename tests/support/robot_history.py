@@ -20,7 +20,7 @@ from gateway.robot.core.events import (
 )
 from gateway.robot.core.rules import Rules
 from schemas.robot import LEGS, SERVO_IDS
-from schemas.telemetry import Kind, Mode, Reason
+from schemas.words import Kind, Mode, Reason
 from tests.support.calibration_history import CalibrationHistory
 from tests.support.history import (
     CLOSED,

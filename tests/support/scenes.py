@@ -27,7 +27,7 @@ from gateway.robot.core.rules import Rules
 from gateway.robot.core.supervisor import Supervisor
 from schemas.calibration import CalibrationCommand, ServoChange
 from schemas.robot import LEGS, SERVO_IDS
-from schemas.telemetry import Kind
+from schemas.words import Kind
 from tests.support.history import announced, frames_of, is_coalesced, spelled_out, supply_of
 from tests.support.model_check import pending
 from tests.support.oracle import Oracle

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Final, get_args
 
 from gateway.robot.core import events
-from schemas.telemetry import Mode
+from schemas.words import Mode
 
 _QUIET: Final = frozenset({Mode.IDLE, Mode.ACTIVE})
 _FAULT: Final = frozenset({Mode.BUS_FAULT})

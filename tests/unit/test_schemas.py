@@ -13,37 +13,32 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from gateway.errors import RejectedError
 from schemas.__main__ import documents
+from schemas.ack import Ack
 from schemas.button import BUTTON_REQUEST, ButtonAck
 from schemas.calibration import Calibration
 from schemas.command import MAX_PAYLOAD_BYTES, SERVO_COMMAND, LegCommand, LegsCommand, ResetCommand
-from schemas.keys import CommandKey, Target
-from schemas.lease import LEASE_REQUEST, LeaseAck
-from schemas.revocation import RevocationAck
-from schemas.robot import LEGS, SERVO_IDS
-from schemas.state import MAX_STATE_BYTES, LegsReport, StateReport, joined
-from schemas.telemetry import (
-    CUT,
-    Ack,
-    Battery,
+from schemas.config import ConfigReport
+from schemas.event import Event, FrameRecord
+from schemas.gateway_state import (
     ButtonsAlive,
-    Cause,
     CommandCounts,
-    ConfigReport,
     ControllerReport,
-    Event,
-    FrameRecord,
     GatewayState,
-    Kind,
     LeaseReport,
     LoopLag,
-    Mode,
     PowerReport,
-    Reason,
     SpiCounts,
     StopLatency,
     WatchdogCounts,
-    WatchdogState,
 )
+from schemas.keys import CommandKey, Target
+from schemas.lease import LEASE_REQUEST, LeaseAck
+from schemas.report import CUT
+from schemas.revocation import RevocationAck
+from schemas.robot import LEGS, SERVO_IDS
+from schemas.state import MAX_STATE_BYTES, LegsReport, StateReport, joined
+from schemas.telemetry import Battery
+from schemas.words import Cause, Kind, Mode, Reason, WatchdogState
 from tests.support import published
 from tests.support.commands import FAULTS, LEG, as_json
 

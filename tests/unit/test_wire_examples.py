@@ -28,8 +28,8 @@ from gateway.onboard.check import conformance
 from gateway.people.walking.robot import Robot, ranges
 from gateway.robot.spi.plugin import plugin_bus
 from gateway.wire import ServoWire
+from schemas.config import LimitsReport
 from schemas.robot import LEGS
-from schemas.telemetry import LimitsReport
 from tests.support.waiting import Closing
 
 _MODE1, _LED0, _ALL_LED, _PRESCALE = 0x00, 0x06, 0xFA, 0xFE

@@ -9,7 +9,7 @@ from gateway import certs
 from gateway.client import Client, RejectedError
 from schemas import keys
 from schemas.robot import LEGS
-from schemas.telemetry import Kind, Mode, Reason
+from schemas.words import Kind, Mode, Reason
 from tests.support.fixtures import client_fixture, gateway_fixture
 from tests.support.gateway_process import Gateway, free_port
 from tests.support.heard import events

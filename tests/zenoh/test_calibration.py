@@ -19,8 +19,9 @@ from gateway.people.commands.calibration import NotKeptYetError, once_kept
 from gateway.robot.core.calibrating import UNTIL_TRUSTED
 from gateway.robot.runtime import calibrations
 from schemas import keys
+from schemas.ack import Ack
 from schemas.calibration import Calibration, ServoCalibration, ServoChange
-from schemas.telemetry import Ack, Mode, Reason
+from schemas.words import Mode, Reason
 from tests.support.fixtures import client_fixture
 from tests.support.gateway_process import Gateway
 from tests.support.heard import Heard, events, frames

@@ -20,7 +20,8 @@ from gateway.onboard.check import security
 from gateway.onboard.check.table import CheckedRobot
 from gateway.people.walking.planning import lying_deg
 from gateway.people.walking.robot import Robot
-from schemas.telemetry import Cause, FrameRecord, Mode, Reason
+from schemas.event import FrameRecord
+from schemas.words import Cause, Mode, Reason
 from tests.support.child import Child
 from tests.support.command import Ended, run_here
 from tests.support.fixtures import client_fixture, gateway_fixture

@@ -13,7 +13,7 @@ import pytest
 
 from gateway.client import Client
 from gateway.people.commands.reach import me
-from schemas.telemetry import Cause, Kind, Mode
+from schemas.words import Cause, Kind, Mode
 from tests.support.command import program, run_here
 from tests.support.fixtures import client_fixture, gateway_fixture
 from tests.support.gateway_process import COMMAND, Gateway, free_port

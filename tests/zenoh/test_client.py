@@ -23,7 +23,8 @@ from gateway.errors import UnansweredError, ZenohError
 from gateway.people.client import blocking, lease, stream
 from gateway.people.client.payloads import leg_payload
 from schemas import keys
-from schemas.telemetry import Ack, Cause, Mode
+from schemas.ack import Ack
+from schemas.words import Cause, Mode
 from tests.support.child import Child
 from tests.support.command import run_here
 from tests.support.fixtures import client_fixture, gateway_fixture, patient

@@ -28,7 +28,8 @@ from gateway.client import (
 from gateway.people.client.aio import Calls
 from schemas import keys
 from schemas.calibration import ServoChange
-from schemas.telemetry import Event, Kind, Mode, Reason
+from schemas.event import Event
+from schemas.words import Kind, Mode, Reason
 from tests.support.fixtures import gateway_fixture, patient
 from tests.support.gateway_process import Gateway
 

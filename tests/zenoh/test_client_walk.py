@@ -16,8 +16,9 @@ from gateway.geometry import load
 from gateway.people.walking.engine import Engine
 from gateway.people.walking.motion import STILL, Posture
 from gateway.people.walking.robot import Robot
+from schemas.event import FrameRecord
 from schemas.robot import JOINTS, LEGS
-from schemas.telemetry import FrameRecord, Kind, Mode
+from schemas.words import Kind, Mode
 from tests.support.child import Child
 from tests.support.cut_link import CutLink
 from tests.support.fixtures import client_fixture, gateway_fixture, patient

@@ -14,8 +14,8 @@ from gateway.people.client.lease_requests import Identity
 from gateway.people.commands import why
 from gateway.zenoh.config import client_config, open_session
 from schemas import keys
+from schemas.config import ConfigReport
 from schemas.state import MAX_STATE_BYTES
-from schemas.telemetry import ConfigReport
 from tests.support.gateway_process import Gateway, free_port
 from tests.support.heard import Heard, states
 

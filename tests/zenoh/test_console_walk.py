@@ -10,7 +10,7 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 
 from gateway.client import Client
-from schemas.telemetry import Kind
+from schemas.words import Kind
 from tests.support.console_process import TRIES, Console, Page, SignedIn
 from tests.support.fixtures import client_fixture, console_fixture, gateway_fixture, patient, session_fixture
 from tests.support.gateway_process import Gateway

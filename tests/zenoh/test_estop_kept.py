@@ -16,7 +16,7 @@ from gateway.robot.runtime.estop_keeper import ESTOP_FILE, LAST_FILE, SLOW_S, Ke
 from gateway.robot.spi import outside
 from gateway.robot.spi.outside import Listener, Notice
 from schemas import keys
-from schemas.telemetry import Kind, Mode, Reason
+from schemas.words import Kind, Mode, Reason
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events
 from tests.support.waiting import wait_until

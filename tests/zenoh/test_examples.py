@@ -17,8 +17,9 @@ import pytest
 
 from gateway.client import Client
 from gateway.model.frames import OneLeg, Op, centidegrees, decode
+from schemas.event import FrameRecord
 from schemas.robot import SERVO_IDS
-from schemas.telemetry import Cause, FrameRecord
+from schemas.words import Cause
 from tests.support.child import Child
 from tests.support.command import run_here
 from tests.support.fixtures import client_fixture, gateway_fixture

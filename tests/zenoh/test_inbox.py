@@ -18,9 +18,12 @@ from gateway.robot.zenoh_io.session import service_config
 from gateway.robot.zenoh_io.unknown_keys import UnknownKeys
 from gateway.zenoh.config import client_config, open_session
 from schemas import keys
+from schemas.ack import Ack
+from schemas.event import FrameRecord
 from schemas.keys import STATE, TELEMETRY
 from schemas.robot import SERVO_IDS
-from schemas.telemetry import Ack, Cause, FrameRecord, Kind, Mode, Telemetry
+from schemas.telemetry import Telemetry
+from schemas.words import Cause, Kind, Mode
 from tests.support.fixtures import client_fixture, gateway_fixture
 from tests.support.gateway_process import Gateway, free_port
 from tests.support.heard import events, frames, servos_on

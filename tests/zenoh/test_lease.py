@@ -13,8 +13,9 @@ from gateway.client import Client, LeaseLostError, RejectedError
 from gateway.people.client.lease_requests import Identity
 from gateway.people.client.payloads import leg_payload
 from schemas import keys
+from schemas.ack import Ack
 from schemas.lease import LeaseAck
-from schemas.telemetry import Ack, Cause, Kind, Reason
+from schemas.words import Cause, Kind, Reason
 from tests.support.fixtures import client_fixture, gateway_fixture, patient
 from tests.support.gateway_process import Gateway, free_port
 from tests.support.heard import events, frames, is_stop, running

@@ -16,7 +16,7 @@ import pytest
 
 from gateway.client import Client
 from schemas.robot import LEGS
-from schemas.telemetry import Kind
+from schemas.words import Kind
 from tests.support import lerobot_protocol
 from tests.support.camera_server import CameraServer
 from tests.support.child import Child

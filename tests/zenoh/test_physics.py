@@ -8,7 +8,7 @@ import pytest
 import zenoh
 
 from schemas import keys
-from schemas.telemetry import Kind
+from schemas.words import Kind
 from tests.support.child import Child
 from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import COMMAND, Gateway

@@ -14,7 +14,7 @@ import pytest
 from gateway.errors import GatewayError
 from schemas.keys import servo_command
 from schemas.robot import SERVO_IDS
-from schemas.telemetry import Mode
+from schemas.words import Mode
 from tests.support.child import Child
 from tests.support.fixtures import patient
 from tests.support.gateway_process import Gateway

@@ -15,7 +15,7 @@ import pytest
 
 from gateway.client import Client, LeaseError, StoppedError, Stream, Walk
 from gateway.people.client.stopped import DECIDES
-from schemas.telemetry import Cause, Kind
+from schemas.words import Cause, Kind
 from tests.support.child import Child
 from tests.support.fixtures import gateway_fixture, patient
 from tests.support.gateway_process import Gateway

@@ -16,7 +16,8 @@ import pytest
 from gateway.client import Client
 from gateway.people.client.payloads import leg_payload
 from schemas import keys
-from schemas.telemetry import Event, Kind
+from schemas.event import Event
+from schemas.words import Kind
 from tests.support.child import Child
 from tests.support.command import parse, run_here
 from tests.support.console_process import LINK

@@ -26,8 +26,8 @@ from gateway.client import Client
 from gateway.geometry import load
 from gateway.people.recorder.drawing import DRAWN, FRAMES, JOINT_COMMANDS, JOINT_STATES, LOG, SIM_JOINT_STATES
 from gateway.people.recorder.record import REPORTS, Recording, ReportQueue, flush_period_s
+from schemas.event import FrameRecord
 from schemas.keys import EVENT, FRAME, SIM_BODY, STATE, TELEMETRY
-from schemas.telemetry import FrameRecord
 from tests.support.camera_server import CameraServer, jpeg
 from tests.support.child import Child
 from tests.support.fixtures import client_fixture, gateway_fixture

@@ -14,7 +14,7 @@ import pytest
 from gateway.client import Client
 from gateway.errors import GatewayError
 from gateway.model.power_board import SERVO_OVERCURRENT
-from schemas.telemetry import Mode
+from schemas.words import Mode
 from tests.support.boards import Adapter
 from tests.support.child import Child
 from tests.support.fixtures import patient

@@ -18,8 +18,9 @@ from gateway.client import Client
 from gateway.errors import GatewayError, ZenohError
 from gateway.people.client.lease_requests import Identity
 from schemas.calibration import ServoChange
+from schemas.gateway_state import GatewayState
 from schemas.robot import LEGS
-from schemas.telemetry import GatewayState, Mode, Reason
+from schemas.words import Mode, Reason
 from tests.support.child import Child
 from tests.support.command import Ended, run_here
 from tests.support.gateway_process import Gateway, free_port

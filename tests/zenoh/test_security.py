@@ -19,7 +19,7 @@ from gateway.client import Client
 from gateway.errors import DisconnectedError, ZenohError
 from gateway.people.client.payloads import leg_payload
 from schemas import keys
-from schemas.telemetry import Kind, Mode
+from schemas.words import Kind, Mode
 from tests.support.command import Ended, run_here
 from tests.support.gateway_process import Gateway, free_port
 from tests.support.heard import events

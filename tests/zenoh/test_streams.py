@@ -9,8 +9,8 @@ from typing import Final
 import pytest
 
 from schemas import keys
+from schemas.gateway_state import GatewayState
 from schemas.robot import LEGS
-from schemas.telemetry import GatewayState
 from tests.support.gateway_process import Gateway
 from tests.support.heard import frames, last_angles, states
 

@@ -15,7 +15,7 @@ import pytest
 
 from gateway.client import Client
 from gateway.people.commands.walk import screen
-from schemas.telemetry import Mode
+from schemas.words import Mode
 from tests.support.fixtures import client_fixture, gateway_fixture, patient
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.heard import states

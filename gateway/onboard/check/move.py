@@ -28,8 +28,11 @@ from gateway.people.commands.reach import Connection, me, show_differences
 from gateway.people.terminal import ask, say
 from gateway.words.own_command import command
 from schemas import keys
+from schemas.ack import Ack
+from schemas.event import Event, FrameRecord
 from schemas.robot import LEGS, MAX_DEG, SERVO_IDS
-from schemas.telemetry import Ack, Cause, Event, FrameRecord, Kind, Mode, Reason, Telemetry
+from schemas.telemetry import Telemetry
+from schemas.words import Cause, Kind, Mode, Reason
 
 _POLL_S: Final = 0.01
 _SETPOINT_S: Final = 0.02

@@ -18,8 +18,9 @@ from gateway.people.client.blocking import Client
 from gateway.people.commands.moving import ServoMotion, consent, lying, ready, stopped_after
 from gateway.people.commands.reach import Connection, me, show_differences
 from gateway.people.terminal import ask, hint, on_end_signals
+from schemas.gateway_state import PowerReport
 from schemas.robot import LEGS
-from schemas.telemetry import Cause, Kind, Mode, PowerReport, Reason
+from schemas.words import Cause, Kind, Mode, Reason
 
 _START_DEG, _AGAIN_S = 90.0, 0.02
 EVIDENCE_S: Final = 5.0

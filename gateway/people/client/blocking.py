@@ -43,9 +43,14 @@ from gateway.people.client.subscriptions import NO_CONFIG, States, reads
 from gateway.words.own_command import command
 from gateway.zenoh.config import client_config, get, one_line
 from schemas import keys
+from schemas.ack import Ack
+from schemas.config import ConfigReport
+from schemas.event import Event, FrameRecord
+from schemas.gateway_state import GatewayState
 from schemas.robot import LEGS
 from schemas.state import StateReport, joined
-from schemas.telemetry import Ack, ConfigReport, Event, FrameRecord, GatewayState, Kind, Telemetry
+from schemas.telemetry import Telemetry
+from schemas.words import Kind
 
 if TYPE_CHECKING:
     from gateway.geometry import Geometry

@@ -20,7 +20,11 @@ from gateway.people.client import stopped
 from gateway.people.client.lease_requests import Requests
 from gateway.people.client.renewal import Holds, Renewal
 from gateway.people.client.subscriptions import undeclare, weakly
-from schemas.telemetry import Ack, Event, GatewayState, Kind, Reason, Telemetry
+from schemas.ack import Ack
+from schemas.event import Event
+from schemas.gateway_state import GatewayState
+from schemas.telemetry import Telemetry
+from schemas.words import Kind, Reason
 
 if TYPE_CHECKING:
     from schemas.calibration import Calibration

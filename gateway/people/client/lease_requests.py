@@ -17,8 +17,9 @@ import zenoh
 from gateway import certs
 from gateway.errors import ConfigError, DisconnectedError, RejectedError
 from gateway.zenoh.config import get
+from schemas.ack import Ack, Answer
 from schemas.keys import BUTTON, LEASE
-from schemas.telemetry import Ack, Answer, Reason
+from schemas.words import Reason
 
 if TYPE_CHECKING:
     from cryptography import x509

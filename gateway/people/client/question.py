@@ -26,7 +26,7 @@ from pydantic import BaseModel, Field, ValidationError
 from gateway.errors import UnreachedError, ZenohError
 from gateway.people.client.patience import Patience, Query, QuestionStep
 from gateway.zenoh.config import CANNOT_CONNECT, connect_endpoints, get, one_line, why_not_opened
-from schemas.telemetry import Ack
+from schemas.ack import Ack
 
 NEXT_HOST_S: Final = 0.2
 """After this time, or as soon as a host fails, the next host is tried.

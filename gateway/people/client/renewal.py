@@ -9,7 +9,7 @@ from enum import Enum, auto
 from typing import TYPE_CHECKING, Final
 
 from gateway.errors import LeaseLostError
-from schemas.telemetry import Reason
+from schemas.words import Reason
 
 if TYPE_CHECKING:
     from schemas.lease import LeaseAck

@@ -7,7 +7,9 @@ from typing import Final, NamedTuple
 from gateway.errors import GatewayError, LeaseLostError, RejectedError, StoppedError
 from gateway.model.protocols import called
 from gateway.words.text import legs_named
-from schemas.telemetry import Cause, Event, GatewayState, Kind, Mode, Reason
+from schemas.event import Event
+from schemas.gateway_state import GatewayState
+from schemas.words import Cause, Kind, Mode, Reason
 
 STOP: Final = "stop"
 """The cause of a StoppedError if somebody sent a Stop."""

@@ -30,7 +30,10 @@ from gateway.people.client.stopped import ReceivedEvent
 from gateway.people.client.subscriptions import undeclare, weakly
 from gateway.words.text import legs_named
 from schemas import keys
-from schemas.telemetry import Ack, Event, GatewayState, Kind, LegReport, Reason, WatchdogState
+from schemas.ack import Ack
+from schemas.event import Event
+from schemas.gateway_state import GatewayState, LegReport
+from schemas.words import Kind, Reason, WatchdogState
 
 MAX_HZ: Final = 1000
 """The highest `limits.leg_rate_hz`."""

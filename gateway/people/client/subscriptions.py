@@ -11,8 +11,9 @@ import zenoh
 from pydantic import BaseModel, ValidationError
 
 from schemas import keys
+from schemas.config import ConfigReport
+from schemas.gateway_state import GatewayState
 from schemas.state import StateReport, joined
-from schemas.telemetry import ConfigReport, GatewayState
 
 R = TypeVar("R", bound=BaseModel)
 T = TypeVar("T")

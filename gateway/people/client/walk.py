@@ -27,8 +27,9 @@ from gateway.people.walking.ride import USUAL_SILENCES, Phase, Ride, RideStep, R
 from gateway.people.walking.robot import Robot, check_mirrored_once, ranges, running_deg
 from gateway.people.walking.transitions import LONGEST_S
 from gateway.people.walking.words import Newest
+from schemas.gateway_state import GatewayState
 from schemas.robot import LEGS
-from schemas.telemetry import GatewayState, Reason
+from schemas.words import Reason
 
 T = TypeVar("T")
 

@@ -19,7 +19,10 @@ from gateway.people.terminal import NOBODY, ask, hint, say
 from gateway.words.own_command import command
 from schemas import calibration as wire
 from schemas import keys
-from schemas.telemetry import Ack, CalibrationReport, GatewayState, Reason
+from schemas.ack import Ack
+from schemas.config import CalibrationReport
+from schemas.gateway_state import GatewayState
+from schemas.words import Reason
 
 WAIT_S: Final = 60.0
 """How long to wait for the driver to hand over, or to end."""

@@ -18,8 +18,9 @@ from gateway.people.walking.robot import Robot, ranges
 from gateway.words.own_command import command
 from gateway.words.text import visible
 from schemas import keys
+from schemas.gateway_state import GatewayState
 from schemas.robot import JOINTS, LEGS, MAX_DEG
-from schemas.telemetry import GatewayState, Mode
+from schemas.words import Mode
 
 STEP_DEG: Final = 5.0
 """How far one servo moves: enough to be seen, too little to do harm."""

@@ -16,8 +16,9 @@ from gateway.host.directories import CONFIGURATION
 from gateway.people.client.blocking import Client
 from gateway.people.terminal import hint, say
 from gateway.words.own_command import command
+from schemas.ack import Ack
 from schemas.keys import MAX_SOURCE
-from schemas.telemetry import Ack, Reason
+from schemas.words import Reason
 
 Connection = Callable[[], AbstractContextManager[Client]]
 _OTHERS_S: Final = 0.2

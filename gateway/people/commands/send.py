@@ -18,8 +18,10 @@ from gateway.people.watching.dangers import PowerAlarm, confirmed_off
 from gateway.words.own_command import command
 from gateway.zenoh.config import client_config
 from schemas import keys
+from schemas.ack import Ack
+from schemas.gateway_state import GatewayState, WatchdogReport
 from schemas.robot import JOINTS, LEGS, SERVO_IDS
-from schemas.telemetry import Ack, GatewayState, Mode, Reason, WatchdogReport
+from schemas.words import Mode, Reason
 
 HOLD_PERIOD_S = 0.05
 """A fifth of the default watchdog timeout."""

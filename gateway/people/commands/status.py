@@ -25,7 +25,8 @@ from gateway.words.own_command import this_command
 from gateway.words.text import visible
 from gateway.zenoh.config import client_config
 from schemas import keys
-from schemas.telemetry import Event, GatewayState, LegReport
+from schemas.event import Event
+from schemas.gateway_state import GatewayState, LegReport
 
 
 def status(reach: Reach, *, as_json: bool) -> None:

@@ -26,7 +26,8 @@ from gateway.people.console.pages.page_tasks import Stops
 from gateway.people.watching.confirmed_stop import REQUESTS_AT_ONCE
 from gateway.people.watching.live import Live, OnLoop, Receiver, set_upright
 from gateway.people.watching.silence import CHECK_EVERY_S
-from schemas.telemetry import Ack, GatewayState
+from schemas.ack import Ack
+from schemas.gateway_state import GatewayState
 
 STOPS_AT_ONCE: Final = 4
 """Stops of single legs; further ones wait until one is answered, or given up after the timeout."""

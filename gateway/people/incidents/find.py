@@ -8,7 +8,7 @@ from typing import Final
 from gateway.model import black_box as form
 from gateway.people.incidents import ring_reader as rec
 from schemas import keys
-from schemas.telemetry import Cause, Kind
+from schemas.words import Cause, Kind
 
 BEFORE_NS: Final = 10_000_000_000
 """An incident includes this time before its zero."""

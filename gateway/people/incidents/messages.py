@@ -16,7 +16,8 @@ from gateway.people.incidents import ring_reader as rec
 from gateway.people.incidents.find import Incident
 from schemas import keys
 from schemas.calibration import Calibration
-from schemas.telemetry import Event, FrameRecord, Report
+from schemas.event import Event, FrameRecord
+from schemas.report import Report
 
 RECORDER: Final = f"{keys.ROOT}/recorder"
 """The channel of notes, which no key of the gateway carries."""

@@ -28,7 +28,7 @@ from gateway.model.black_box import MAX_SLOTS, copies_of
 from gateway.model.elkapod import Measured, measured
 from gateway.model.frames import ServoOp, read_op
 from schemas.calibration import Calibration
-from schemas.telemetry import Cause
+from schemas.words import Cause
 
 _MAX_BYTES: Final = form.file_bytes(MAX_SLOTS)
 MOST_KEYFRAME: Final = 1_000_000

@@ -14,7 +14,8 @@ from gateway.people.ros2.commanded import UserAngles
 from gateway.words.text import legs_named, visible
 from schemas import keys
 from schemas.robot import LEGS
-from schemas.telemetry import Cause, Kind, Telemetry
+from schemas.telemetry import Telemetry
+from schemas.words import Cause, Kind
 
 _TOGETHER_NS: Final = 15_000_000
 """Frames of one cause that follow each other within this are one line. Repeats come 20 ms apart by default."""

@@ -29,9 +29,10 @@ from gateway.model.calibration import RobotCalibration, calibration_of
 from gateway.people.physics.assumed import Assumed, assumed
 from gateway.people.physics.world import TIMESTEP_S, Sensors, World
 from schemas import calibration as wire
+from schemas.ack import Ack
 from schemas.keys import CALIBRATION, SIM_BODY, SIM_UPRIGHT
 from schemas.robot import SERVO_IDS
-from schemas.telemetry import Ack, BodyReport, SimulatedServo
+from schemas.simulation import BodyReport, SimulatedServo
 
 TURN_S: Final = 0.01
 """The period in which the servos' targets are read."""

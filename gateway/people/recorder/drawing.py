@@ -27,9 +27,11 @@ from gateway.people.ros2 import robot
 from gateway.people.ros2.commanded import CommandedJoints
 from gateway.people.ros2.messages import LOG_ERROR, LOG_INFO, LOG_WARN, Message
 from gateway.people.watching.dangers import Tone, tone_of
+from schemas.gateway_state import GatewayState
 from schemas.keys import EVENT, SIM_BODY, STATE, TELEMETRY
 from schemas.robot import SERVO_IDS
-from schemas.telemetry import BodyReport, GatewayState, Telemetry
+from schemas.simulation import BodyReport
+from schemas.telemetry import Telemetry
 
 INSTALLED: Final = find_spec("rosbags") is not None
 """A robot has no rosbags: it needs NumPy and a dozen more. There incidents are kept without ROS 2's messages."""

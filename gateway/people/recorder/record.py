@@ -30,9 +30,13 @@ from gateway.people.terminal import clear_line, hint, on_end_signals, say, show_
 from gateway.people.watching.live import is_of_physics
 from gateway.words.own_command import install
 from schemas.calibration import Calibration
+from schemas.config import ConfigReport
+from schemas.event import Event, FrameRecord
+from schemas.gateway_state import GatewayState
 from schemas.keys import CALIBRATION, CONFIG, EVENT, FRAME, SIM_BODY, STATE, TELEMETRY
 from schemas.robot import SERVO_IDS
-from schemas.telemetry import BodyReport, ConfigReport, Event, FrameRecord, GatewayState, Telemetry
+from schemas.simulation import BodyReport
+from schemas.telemetry import Telemetry
 
 try:
     import foxglove

@@ -19,7 +19,8 @@ from gateway.people.client.lease import Lease
 from gateway.people.ros2.motions import DOES_NOT_STAND, JointCommands, Motion, Walking
 from gateway.people.walking.motion import ORIGIN, Odometry, Velocity
 from gateway.people.watching.dangers import UNCONFIRMED, confirmed_off
-from schemas.telemetry import GatewayState, Mode, Reason
+from schemas.gateway_state import GatewayState
+from schemas.words import Mode, Reason
 
 NOBODY_DRIVES: Final = "nobody has called drive"
 NOT_ACTIVE: Final = "the node is not active yet"

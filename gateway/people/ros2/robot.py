@@ -10,8 +10,10 @@ from gateway.geometry.kinematics import FramePose as Step
 from gateway.people.ros2 import messages as ros
 from gateway.people.ros2.messages import ERROR, OK, WARN, Header, Marker, Message, Quaternion, Vector3
 from gateway.people.walking.motion import Odometry, Velocity
+from schemas.gateway_state import GatewayState
 from schemas.robot import JOINTS, SERVO_IDS
-from schemas.telemetry import GatewayState, Mode, Telemetry, WatchdogState
+from schemas.telemetry import Telemetry
+from schemas.words import Mode, WatchdogState
 
 UNKNOWN_DEG: Final = 90.0
 """The angle at which a never commanded servo is drawn."""

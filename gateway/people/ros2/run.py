@@ -32,7 +32,9 @@ from gateway.people.walking.motion import ORIGIN
 from gateway.words.own_command import install
 from schemas import keys
 from schemas.calibration import Calibration
-from schemas.telemetry import FrameRecord, GatewayState, Telemetry
+from schemas.event import FrameRecord
+from schemas.gateway_state import GatewayState
+from schemas.telemetry import Telemetry
 
 try:
     from gateway.people.ros2.node import Node, open_on

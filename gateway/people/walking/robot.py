@@ -13,8 +13,9 @@ from gateway.geometry.urdf import BODY_HEIGHT_M
 from gateway.people.walking.inverse import Angles, Limb
 from gateway.people.walking.motion import BodyPose
 from schemas.calibration import Calibration
+from schemas.config import LimitsReport, ServoLimitsReport
+from schemas.gateway_state import GatewayState
 from schemas.robot import JOINTS, LEGS, SERVO_IDS
-from schemas.telemetry import GatewayState, LimitsReport, ServoLimitsReport
 
 
 class Range(NamedTuple):

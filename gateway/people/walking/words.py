@@ -9,8 +9,9 @@ from typing import Final
 
 from gateway.people.walking.motion import DOWN, Posture, WalkState
 from gateway.words.text import legs_named
+from schemas.gateway_state import GatewayState
 from schemas.robot import LEGS
-from schemas.telemetry import GatewayState, Mode
+from schemas.words import Mode
 
 NEWS_S: Final = 1.0
 """The oldest state that counts as current: by default the gateway publishes ten a second."""

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Final, Generic, TypeVar
 
 from gateway.people.watching.dangers import Remark, StopStatus
-from schemas.telemetry import Ack
+from schemas.ack import Ack
 
 P = TypeVar("P")
 W = TypeVar("W")

@@ -5,8 +5,10 @@
 
 from typing import Final, Literal, NamedTuple
 
+from schemas.ack import Ack
+from schemas.gateway_state import GatewayState, PowerReport
 from schemas.robot import LEGS
-from schemas.telemetry import Ack, AnyKind, GatewayState, Kind, Mode, PowerReport
+from schemas.words import AnyKind, Kind, Mode
 
 Tone = Literal["bad", "warn", "plain"]
 

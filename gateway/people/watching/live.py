@@ -17,7 +17,11 @@ from gateway.people.client.blocking import Client
 from gateway.people.client.subscriptions import KEPT_EVENTS, reads, undeclare
 from gateway.people.watching.silence import CHECK_EVERY_S, Silence
 from schemas import keys
-from schemas.telemetry import Ack, BodyReport, Event, GatewayState, Telemetry
+from schemas.ack import Ack
+from schemas.event import Event
+from schemas.gateway_state import GatewayState
+from schemas.simulation import BodyReport
+from schemas.telemetry import Telemetry
 
 if TYPE_CHECKING:
     from asyncio import AbstractEventLoop

@@ -53,7 +53,7 @@ from gateway.robot.core.events import (
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.settings import Settings
 from gateway.robot.spi import Sent
-from schemas.telemetry import Cause, Kind, Mode
+from schemas.words import Cause, Kind, Mode
 
 CHUNK: Final = 4096
 """Records copied at a time: half a megabyte of memory."""

@@ -25,7 +25,7 @@ from gateway.robot.core.legs import Legs
 from gateway.robot.core.message import Verb
 from gateway.robot.core.rules import Rules
 from gateway.robot.core.servo import WAITING, Servo
-from schemas.telemetry import Reason
+from schemas.words import Reason
 
 START_WAIT_NS: Final = 15 * NS_PER_MS
 """The frame of a lone start leaves within a rate slot of 50 Hz, with 5 ms for a timer that is late."""

@@ -17,7 +17,7 @@ from gateway.robot.core.events import Announce, BodyMeasured, Effect
 from gateway.robot.core.interlock import ALL_LEGS, Down, Interlock, Why
 from gateway.robot.core.legs import Legs
 from gateway.robot.core.rules import Rules
-from schemas.telemetry import Kind, Reason
+from schemas.words import Kind, Reason
 
 RECOVERS: Final = 50
 """A low battery has recovered a fiftieth above the limit, so that a jittering voltage is announced once (assumed)."""

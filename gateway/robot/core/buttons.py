@@ -27,7 +27,7 @@ from gateway.robot.core.interlock import ALL_LEGS, Down, Interlock
 from gateway.robot.core.legs import Legs
 from gateway.robot.core.rules import Rules
 from schemas import keys
-from schemas.telemetry import Kind, Reason
+from schemas.words import Kind, Reason
 
 MOST_OF_ONE: Final = 4
 """Registrations of a certificate: a person's phone, tablet and laptop. One more replaces the oldest one not alive."""

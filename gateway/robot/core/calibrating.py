@@ -27,7 +27,7 @@ from gateway.robot.core.interlock import Interlock, Why
 from gateway.robot.core.legs import Legs
 from gateway.robot.core.rules import Rules
 from schemas.calibration import CalibrationCommand
-from schemas.telemetry import Kind, Reason
+from schemas.words import Kind, Reason
 
 UNTIL_TRUSTED: Final = "until a good calibration is imported, or the default accepted"
 """What a person does about a calibration that cannot be trusted, by the command `calibrate`."""

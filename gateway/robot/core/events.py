@@ -11,7 +11,7 @@ from gateway.robot.core.message import Reply, Verb, value
 from gateway.words.text import legs_named
 from schemas.calibration import CalibrationCommand
 from schemas.robot import LEGS
-from schemas.telemetry import Cause, Kind, Reason
+from schemas.words import Cause, Kind, Reason
 
 Targets = tuple[tuple[int, ServoOp], ...]
 """Operations for servos, by their ids."""

@@ -29,7 +29,7 @@ from schemas import keys
 from schemas.command import MAX_PAYLOAD_BYTES, SENDER, SERVO_COMMAND, LegCommand, LegsCommand, ResetCommand, Sender
 from schemas.keys import CommandKey, Target
 from schemas.robot import JOINTS, LEGS, SERVO_IDS
-from schemas.telemetry import Reason
+from schemas.words import Reason
 
 # ---- readers: each raises pydantic's ValidationError
 

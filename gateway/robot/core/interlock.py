@@ -10,7 +10,7 @@ from gateway.robot.core.events import Announce, Calibrate, Command, Effect, Even
 from gateway.robot.core.legs import Halt, Legs
 from gateway.robot.core.rules import Rules
 from schemas.robot import LEGS
-from schemas.telemetry import Cause, Kind, Reason
+from schemas.words import Cause, Kind, Reason
 
 Barred = Command | Reset | Calibrate
 """A request to which an interlock may object."""

@@ -7,7 +7,7 @@ from gateway.robot.core.events import Announce, Completed, Effect, EmergencyStop
 from gateway.robot.core.interlock import Interlock
 from gateway.robot.core.legs import Halt, Legs
 from gateway.robot.core.rules import Rules
-from schemas.telemetry import Cause, Kind, Reason
+from schemas.words import Cause, Kind, Reason
 
 ESTOPPED: Final = "the emergency stop is engaged; reset it first"
 _UNKNOWN: Final = "it is not known yet whether an earlier run has left an emergency stop engaged"

@@ -22,7 +22,7 @@ from gateway.robot.core.interlock import Interlock, Why
 from gateway.robot.core.legs import Halt, Legs
 from gateway.robot.core.rules import Rules
 from schemas import keys
-from schemas.telemetry import Cause, Kind, Reason
+from schemas.words import Cause, Kind, Reason
 
 MOST_ASKERS: Final = 8
 """More people than drive one robot; a ninth replaces the first."""

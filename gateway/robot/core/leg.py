@@ -6,7 +6,7 @@ from gateway.model.frames import servo_ids_of
 from gateway.robot.core.events import NOBODY, Sender
 from gateway.robot.core.gates.rate import RateSlots
 from gateway.robot.core.servo import OFF, RUNNING, Servo
-from schemas.telemetry import WatchdogState
+from schemas.words import WatchdogState
 
 
 @dataclass(slots=True, eq=False)

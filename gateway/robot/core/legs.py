@@ -31,7 +31,7 @@ from gateway.robot.core.stops import StopSchedule, stops
 from gateway.words.text import legs_named
 from schemas.keys import LEGS_COMMAND
 from schemas.robot import LEGS
-from schemas.telemetry import Cause, Kind, Reason
+from schemas.words import Cause, Kind, Reason
 
 _COMMAND: Final = Cause.COMMAND  # see `frames.OP_STOP`
 _BY: Final = {

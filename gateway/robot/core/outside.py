@@ -8,7 +8,7 @@ from typing import Final
 from gateway.robot.core.events import Announce, Calibrate, Command, Effect, StoppedOutside
 from gateway.robot.core.interlock import Interlock
 from gateway.robot.core.legs import Halt
-from schemas.telemetry import Cause, Kind, Reason
+from schemas.words import Cause, Kind, Reason
 
 _OUTSIDE: Final = "stop-servos stops all servos past the gateway; start them once it has ended"
 

@@ -17,7 +17,7 @@ from gateway.robot.core.events import Announce, ClearErrors, Cut, Effect, Feed, 
 from gateway.robot.core.interlock import ALL_LEGS, Down, Interlock, Why
 from gateway.robot.core.legs import Halt, Legs
 from gateway.robot.core.rules import Rules
-from schemas.telemetry import Cause, Kind, Mode, Reason
+from schemas.words import Cause, Kind, Mode, Reason
 
 SILENT: Final = "the power board does not answer"
 _WHY: Final = {

@@ -11,7 +11,7 @@ from gateway.words.text import BOM, decimal_comma, visible
 from schemas.button import ButtonRequest
 from schemas.command import MAX_PAYLOAD_BYTES, ServoSetpoint
 from schemas.lease import LeaseRequest
-from schemas.telemetry import Reason
+from schemas.words import Reason
 
 MAX_KEY: Final = 100
 """Characters of an unknown key that an event repeats; ours have at most 20."""

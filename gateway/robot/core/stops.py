@@ -21,7 +21,7 @@ from gateway.robot.core.events import Command, Transmit
 from gateway.robot.core.leg import Leg
 from gateway.robot.core.rules import Rules
 from gateway.robot.core.servo import Servo
-from schemas.telemetry import Cause
+from schemas.words import Cause
 
 
 def stops(

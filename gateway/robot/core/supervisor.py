@@ -73,7 +73,7 @@ from gateway.robot.core.power_rule import PowerRule
 from gateway.robot.core.rules import Rules
 from gateway.robot.core.servo import moved
 from gateway.robot.core.watchdog import Watchdog
-from schemas.telemetry import Cause, Kind, Mode, Reason
+from schemas.words import Cause, Kind, Mode, Reason
 
 _STOPPING: Final = "the gateway is ending"
 _REJECTING: Final = {

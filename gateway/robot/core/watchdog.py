@@ -15,7 +15,7 @@ from gateway.robot.core.events import Announce, Calibrate, Command, Effect
 from gateway.robot.core.interlock import ALL_LEGS, Interlock
 from gateway.robot.core.legs import Halt, Legs
 from gateway.robot.core.rules import Rules
-from schemas.telemetry import Cause, Kind, Reason
+from schemas.words import Cause, Kind, Reason
 
 _LANDING: Final = "the robot lands; start it once all legs are stopped"
 

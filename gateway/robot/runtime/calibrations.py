@@ -31,8 +31,9 @@ from gateway.robot.runtime.request_answers import PAUSE_S, RequestAnswers
 from gateway.robot.zenoh_io.receiver import OwnersTask
 from gateway.words.own_command import command
 from schemas import keys
+from schemas.ack import Ack
 from schemas.calibration import CalibrationCommand, ServoChange, ServoName
-from schemas.telemetry import Ack, Reason
+from schemas.words import Reason
 
 CALIBRATION_FILE: Final = "calibration.toml"
 """File name in the service's state directory."""

@@ -44,9 +44,10 @@ from gateway.robot.runtime.report import RobotReports, wall_clock
 from gateway.robot.runtime.supply import RobotSupply, off_button
 from gateway.robot.settings import Settings
 from gateway.robot.spi import Wire
+from schemas.ack import Ack
 from schemas.keys import COMMAND_KEYS
 from schemas.robot import LEGS, SERVO_IDS
-from schemas.telemetry import Ack, Cause, Kind, Mode, Reason
+from schemas.words import Cause, Kind, Mode, Reason
 
 REOPEN_S: Final = 0.02
 """Pause between two attempts to open a failed device. It does not grow: until the device is open and Stops are written,

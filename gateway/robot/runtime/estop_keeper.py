@@ -29,7 +29,7 @@ from gateway.robot.host.disk import StateFolder
 from gateway.robot.host.ownership import OwnersTimer
 from gateway.robot.runtime.conductor import Conductor
 from schemas.keys import ESTOP
-from schemas.telemetry import Kind
+from schemas.words import Kind
 
 ESTOP_FILE: Final = "estop.json"
 LAST_FILE: Final = "estop-last.json"

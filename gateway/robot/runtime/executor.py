@@ -30,7 +30,8 @@ from gateway.robot.runtime.report import RobotReports
 from gateway.robot.runtime.supply import RobotSupply
 from gateway.robot.spi import BatchReport, Wire
 from gateway.words.text import legs_named
-from schemas.telemetry import Ack, Cause, Kind, Reason
+from schemas.ack import Ack
+from schemas.words import Cause, Kind, Reason
 
 logger = logging.getLogger(__name__)
 

@@ -35,8 +35,10 @@ from gateway.host.realtime import PAGE_PRIORITY, prefer_thread
 from gateway.robot.protocol.latency import BOUNDS_US, Latency
 from gateway.robot.runtime.conductor import Conductor
 from gateway.zenoh.endpoints import is_local
+from schemas.gateway_state import PowerReport
 from schemas.robot import LEGS, SERVO_IDS
-from schemas.telemetry import Cause, Kind, Mode, PowerReport, Reason, Telemetry
+from schemas.telemetry import Telemetry
+from schemas.words import Cause, Kind, Mode, Reason
 
 METRICS_PATH: Final = "/metrics"
 LOOPBACK: Final = frozenset({"localhost", "127.0.0.1", "::1"})

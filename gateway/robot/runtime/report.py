@@ -27,10 +27,35 @@ from gateway.robot.power.line import PowerLine
 from gateway.robot.protocol.latency import Latency
 from gateway.robot.settings import Settings
 from gateway.robot.spi import Wire
-from schemas import keys, telemetry
+from schemas import keys
+from schemas.config import (
+    ButtonsConfig,
+    CalibrationReport,
+    CertificateReport,
+    ConfigReport,
+    LimitsReport,
+    RevocationsReport,
+    SpiConfig,
+    TelemetryReport,
+    WatchdogConfig,
+    WireReport,
+)
+from schemas.event import Event, FrameRecord
+from schemas.gateway_state import (
+    ButtonsAlive,
+    CommandCounts,
+    ControllerReport,
+    LeaseReport,
+    LoopLag,
+    PowerReport,
+    SpiCounts,
+    StopLatency,
+    WatchdogCounts,
+)
 from schemas.robot import SERVO_IDS
 from schemas.state import LegsReport, StateReport
-from schemas.telemetry import Cause, Kind, Mode, Reason
+from schemas.telemetry import Battery, ServoTelemetry, Supply, Telemetry
+from schemas.words import Cause, Kind, Mode, Reason
 
 EVENTS_A_SECOND: Final = 10
 EVENTS_AT_ONCE: Final = 10
@@ -112,14 +137,12 @@ class RobotReports:
         self._started_ns = self.clock()
         limits, wire = self.settings.limits, self.settings.wire
         each = {str(servo): asdict(limits.servos.get(str(servo), ServoLimits())) for servo in SERVO_IDS}
-        self._limits = telemetry.LimitsReport.model_validate(
+        self._limits = LimitsReport.model_validate(
             {"leg_rate_hz": limits.leg_rate_hz, "max_age_ms": limits.max_age_ms, "servos": each}
         )
         can = wire.capabilities._replace(whole_robot=self.settings.starts_whole)
-        self._wire = telemetry.WireReport(
-            name=wire.name, measures=wire.measures, supply_starts=wire.has_uart, **can._asdict()
-        )
-        self.certificate: telemetry.CertificateReport | None = None
+        self._wire = WireReport(name=wire.name, measures=wire.measures, supply_starts=wire.has_uart, **can._asdict())
+        self.certificate: CertificateReport | None = None
         """The certificate in use that expires first, or None."""
         self.missing_endpoints: tuple[str, ...] = ()
         """The endpoints on which the gateway does not listen yet. Any thread may set it."""
@@ -130,7 +153,7 @@ class RobotReports:
         """When the emergency stop was engaged; None: it is not engaged."""
         self.estop_fault: str | None = None
         """Why the emergency stop may not outlast a restart, or counts as engaged."""
-        self.revocations: telemetry.RevocationsReport | None = None
+        self.revocations: RevocationsReport | None = None
         self.names_proved = False
         """Whether a certificate has to prove the name of a lease's holder."""
         self.simulated = False
@@ -139,9 +162,9 @@ class RobotReports:
         """The Zenoh id of the process that simulates the robot's body, if there is one."""
         self.calibration_kept = False
         """Whether the next boot finds the calibration."""
-        self._plain: telemetry.ConfigReport | None = None
+        self._plain: ConfigReport | None = None
         """The newest configuration without its checksum, which takes as long as all the rest."""
-        self._published: telemetry.ConfigReport | None = None
+        self._published: ConfigReport | None = None
         self.published_mode: Mode | None = None
         """The mode last published; None until the start is announced."""
 
@@ -169,7 +192,7 @@ class RobotReports:
         level = logging.INFO if kind in INFORMATIONAL else logging.WARNING
         if what.cause in (None, Cause.COMMAND):  # else the cause's own event is in the log
             logger.log(level, what.detail, extra=extra)
-        event = telemetry.Event(
+        event = Event(
             time=wall_clock(), kind=kind, source=source, key=what.key, reason=what.reason, detail=what.detail,
             left_out=left_out, legs=what.legs, incident=incident, source_id=what.source_id, cause=what.cause,
         )  # fmt: skip
@@ -178,7 +201,7 @@ class RobotReports:
     def frames(self, written: Sequence[Written]) -> None:
         """Publish a step's frames, after the last was written."""
         for transmit, sent in written:
-            record = telemetry.FrameRecord(
+            record = FrameRecord(
                 time=wall_clock(), monotonic_ns=sent.ns, bytes=transmit.frame.data.hex(), cause=transmit.cause
             )
             self.outbox.publish(keys.FRAME, record)
@@ -223,12 +246,12 @@ class RobotReports:
         if report is not None:
             reply(report.model_dump_json().encode())
 
-    def power(self) -> telemetry.PowerReport | None:
+    def power(self) -> PowerReport | None:
         """Return the power board's report, or None without a board. For any thread."""
         if self.line is None:
             return None
         now_ns, status = self.clock(), self.line.status
-        return telemetry.PowerReport(
+        return PowerReport(
             interface=self.settings.power.interface,
             alive=status.alive,
             supplied=tuple(sorted(status.supplied)),
@@ -236,13 +259,13 @@ class RobotReports:
             age_ms=None if status.answered_ns is None else max(0, now_ns - status.answered_ns) / 1e6,
         )
 
-    def battery(self) -> telemetry.Battery | None:
+    def battery(self) -> Battery | None:
         """Return the battery as measured, or None if it is unknown. For any thread."""
         if self.newest is not None:
-            return telemetry.Battery.model_validate(self.newest[0]._asdict())
+            return Battery.model_validate(self.newest[0]._asdict())
         return None if self.line is None else board_values(self.line.status, 0).get("battery")
 
-    def measured(self) -> telemetry.Telemetry | None:
+    def measured(self) -> Telemetry | None:
         """Return the measurements of the robot and its power board, or None without any. For any thread."""
         now_ns, time = self.clock(), wall_clock()
         found = {} if self.line is None else board_values(self.line.status, now_ns)
@@ -251,26 +274,24 @@ class RobotReports:
             values, measured_ns = newest
             age_ms = max(found.get("age_ms", 0.0), (now_ns - measured_ns) / 1e6)
             found = {**found, **{name: each for name, each in report_of(values, time, age_ms) if each is not None}}
-        return telemetry.Telemetry.model_validate({**found, "time": time}) if found else None
+        return Telemetry.model_validate({**found, "time": time}) if found else None
 
-    def config(self) -> telemetry.ConfigReport:
+    def config(self) -> ConfigReport:
         """Return what seldom changes, with its checksum."""
         settings, calibrating = self.settings, self.supervisor.calibrating
-        plain = telemetry.ConfigReport(
+        plain = ConfigReport(
             version=__version__,
             protocol=settings.protocol,
             simulated=self.simulated,
-            spi=telemetry.SpiConfig(
+            spi=SpiConfig(
                 device="simulated controller" if self.simulated else settings.device, framing=settings.framing
             ),
-            watchdog=telemetry.WatchdogConfig(
-                timeout_ms=settings.watchdog.timeout_ms, landing_ms=settings.watchdog.landing_ms
-            ),
-            buttons=telemetry.ButtonsConfig(required=settings.buttons.required),
-            calibration=telemetry.CalibrationReport(
+            watchdog=WatchdogConfig(timeout_ms=settings.watchdog.timeout_ms, landing_ms=settings.watchdog.landing_ms),
+            buttons=ButtonsConfig(required=settings.buttons.required),
+            calibration=CalibrationReport(
                 revision=calibrating.in_force.revision, fault=calibrating.fault, kept=self.calibration_kept
             ),
-            telemetry=telemetry.TelemetryReport(frames=settings.telemetry.frames),
+            telemetry=TelemetryReport(frames=settings.telemetry.frames),
             certificate=self.certificate,
             missing_endpoints=self.missing_endpoints,
             revocations=self.revocations,
@@ -283,7 +304,7 @@ class RobotReports:
             self._plain, self._config = plain, plain.model_copy(update={"config": checksum})
         return self._config
 
-    def state(self, config: telemetry.ConfigReport) -> StateReport:
+    def state(self, config: ConfigReport) -> StateReport:
         """Return what changes all the time, to be read with `config`."""
         supervisor, bus, metrics, now_ns = self.supervisor, self.bus, self.metrics, self.clock()
         lease, buttons, lag = supervisor.lease, supervisor.buttons, metrics.loop_lag
@@ -298,7 +319,7 @@ class RobotReports:
             legs=_legs(tuple(supervisor.legs), senders, now_ns),
             sources=tuple(name or "" for name, _ in senders),
             source_ids=tuple(source_id for _, source_id in senders),
-            commands=telemetry.CommandCounts(
+            commands=CommandCounts(
                 accepted=metrics.accepted,
                 rejected=metrics.rejected.total(),
                 coalesced=metrics.coalesced,
@@ -306,26 +327,26 @@ class RobotReports:
                 lost=metrics.lost,
                 passed_over=self.passed_over(),
             ),
-            spi=telemetry.SpiCounts(frames=bus.frames, errors=bus.errors),
-            watchdog=telemetry.WatchdogCounts(
+            spi=SpiCounts(frames=bus.frames, errors=bus.errors),
+            watchdog=WatchdogCounts(
                 expirations=supervisor.watchdog.expirations,
-                stop_latency_us=telemetry.StopLatency(p50=p50_us, p99=p99_us, max=metrics.watchdog_stops.max_us),
+                stop_latency_us=StopLatency(p50=p50_us, p99=p99_us, max=metrics.watchdog_stops.max_us),
             ),
             estop=supervisor.latch.number,
             estop_source=self.estop_source,
             estop_since=self.estop_since,
             estop_fault=self.estop_fault,
             incident=self.recorder.incident,
-            loop_lag_us=telemetry.LoopLag(p50=lag.at_most_us(0.5), p99=lag.at_most_us(0.99), max=lag.max_us),
-            lease=telemetry.LeaseReport(
+            loop_lag_us=LoopLag(p50=lag.at_most_us(0.5), p99=lag.at_most_us(0.99), max=lag.max_us),
+            lease=LeaseReport(
                 holder=lease.holder,
                 verified=lease.holder is not None and self.names_proved,
                 held_s=None if lease.since_ns is None else (now_ns - lease.since_ns) / 1e9,
                 expires_in_ms=None if lease.due_ns is None else max(0.0, (lease.due_ns - now_ns) / 1e6),
                 asked_by=lease.asked_by,
             ),
-            buttons=telemetry.ButtonsAlive(alive=buttons.alive, names=buttons.names),
-            controller=telemetry.ControllerReport(alive=bus.controller_alive, age_ms=answered_ms),
+            buttons=ButtonsAlive(alive=buttons.alive, names=buttons.names),
+            controller=ControllerReport(alive=bus.controller_alive, age_ms=answered_ms),
             battery=self.battery(),
             power=self.power(),
         ).fitted()
@@ -338,15 +359,15 @@ def board_values(status: Status, now_ns: int) -> Mapping[str, Any]:
     found: dict[str, Any] = {"age_ms": max(0, now_ns - status.answered_ns) / 1e6}
     if status.currents_ma:
         found["servos"] = {
-            str(servo_id): telemetry.ServoTelemetry(supplied=servo_id in status.supplied, current_a=ma / 1000)
+            str(servo_id): ServoTelemetry(supplied=servo_id in status.supplied, current_a=ma / 1000)
             for servo_id, ma in sorted(status.currents_ma.items())
         }
     rails = status.rails
     currents, volts = rails.get(power_board.STANDBY_SUPPLY_MA), rails.get(power_board.SUPPLY_BATTERY_MV)
     if volts is not None:
-        found["battery"] = telemetry.Battery(voltage_v=volts[1] / 1000, percent=None)
+        found["battery"] = Battery(voltage_v=volts[1] / 1000, percent=None)
     if currents is not None and volts is not None:
-        found["supply"] = telemetry.Supply(voltage_v=volts[0] / 1000, current_a=currents[1] / 1000)
+        found["supply"] = Supply(voltage_v=volts[0] / 1000, current_a=currents[1] / 1000)
     converters = [rails.get(each) for each in _CONVERTERS]
     if None not in converters:
         found["converters_v"] = tuple(mv / 1000 for each in converters if each is not None for mv in each)

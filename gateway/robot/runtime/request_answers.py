@@ -28,7 +28,7 @@ from schemas import keys
 from schemas.button import BUTTON_REQUEST, Alive, ButtonAck, Leave, Register
 from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.lease import LEASE_REQUEST, Challenge, Claim, LeaseAck, Release, Renew
-from schemas.telemetry import Reason
+from schemas.words import Reason
 
 if TYPE_CHECKING:
     from gateway.certs.proof import ProofChecker

@@ -29,8 +29,9 @@ from gateway.robot.settings import Settings
 from gateway.robot.zenoh_io.receiver import OwnersTask
 from gateway.zenoh.config import CA, get
 from schemas import keys
+from schemas.config import RevocationsReport
 from schemas.revocation import MAX_REVOCATION_BYTES, RevocationAck, RevocationRequest
-from schemas.telemetry import Kind, Reason, RevocationsReport
+from schemas.words import Kind, Reason
 
 if TYPE_CHECKING:
     from cryptography import x509

@@ -20,7 +20,7 @@ from gateway.robot.power.board import Confirmed, News, PowerBoard, Then
 from gateway.robot.power.line import PowerLine
 from gateway.robot.spi import Wire
 from schemas.keys import ESTOP
-from schemas.telemetry import Kind
+from schemas.words import Kind
 
 STUCK_BEATS: Final = 30
 """Beats without progress, 3 s; a line polls a hundred times a second."""

@@ -30,9 +30,10 @@ from gateway.robot.host.ownership import Ownership, OwnersTimer
 from gateway.robot.zenoh_io.questions import POLL_AGAIN_S, QUESTIONS_DEPTH, QuestionRing, TokenCheck, WokenRing
 from gateway.robot.zenoh_io.receiver import OwnersTask, Reader, ReceiverThread
 from gateway.robot.zenoh_io.rings import LEAST_PUT_DEPTH, RING_DEPTH, Rings
+from schemas.ack import Ack
 from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.keys import ALL_COMMANDS, COMMAND_KEYS, ESTOP, ROOT
-from schemas.telemetry import Ack, Reason
+from schemas.words import Reason
 
 OTHER_DEPTH: Final = 16  # mutants accepted (Step): none is the only right one
 """Messages for unknown keys that wait; each is rejected on its own, so more are of no use."""

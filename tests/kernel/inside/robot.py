@@ -8,7 +8,7 @@ from typing import Any
 
 from gateway.client import Client
 from gateway.model.frames import Framing
-from schemas.telemetry import Event
+from schemas.event import Event
 from tests.kernel.inside import wire
 from tests.kernel.inside.batches import SPEED_HZ
 from tests.support.gateway_process import READY, Gateway

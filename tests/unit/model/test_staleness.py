@@ -8,7 +8,7 @@ import pytest
 
 from gateway.model.staleness import CLOCKS, FORGET_MS, SOURCES, STEADY_MS, Staleness
 from schemas import keys
-from schemas.telemetry import Kind, Reason
+from schemas.words import Kind, Reason
 from tests.support.robot import MS, leg, servo, started_and_quiet
 
 MAX_AGE_MS = 200.0

@@ -21,7 +21,7 @@ from gateway.robot.core.rules import Rules
 from gateway.robot.settings import Settings
 from schemas import keys
 from schemas.robot import LEGS
-from schemas.telemetry import Cause, Kind, Reason
+from schemas.words import Cause, Kind, Reason
 from tests.support.command import Ended, run_here
 from tests.support.power import FedRobot
 from tests.support.recordings import put

@@ -21,8 +21,9 @@ from gateway.people.client.lease_requests import Requests as ClientRequests
 from gateway.people.client.payloads import leg_number, leg_payload, legs_angles, legs_payload, number
 from gateway.people.walking.gait_speed import Distance
 from gateway.people.walking.motion import Velocity
+from schemas.ack import Ack
 from schemas.button import ButtonAck
-from schemas.telemetry import Ack, Reason
+from schemas.words import Reason
 
 
 class Whole:

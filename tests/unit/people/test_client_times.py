@@ -37,7 +37,9 @@ from gateway.people.watching import silence as silence_module
 from gateway.people.watching.live import Live, OnLoop, Receiver
 from gateway.people.watching.silence import WHY_EVERY_S, Silence
 from gateway.zenoh.config import client_config, connect_endpoints
-from schemas.telemetry import GatewayState, Kind, Telemetry
+from schemas.gateway_state import GatewayState
+from schemas.telemetry import Telemetry
+from schemas.words import Kind
 from tests.support.published import WALL, event, state
 
 END_S = 10.0

@@ -22,9 +22,12 @@ from gateway.people.walking.planning import lying_deg
 from gateway.people.walking.robot import Robot
 from gateway.people.walking.transitions import ON_GROUND_M
 from gateway.people.watching.confirmed_stop import AGAIN_NS
+from schemas.ack import Ack
+from schemas.config import WireReport
+from schemas.event import Event
 from schemas.lease import LeaseAck
 from schemas.robot import LEGS
-from schemas.telemetry import Ack, Event, Telemetry, WireReport
+from schemas.telemetry import Telemetry
 from tests.support.published import WALL, state
 
 pytestmark = pytest.mark.virtual_time

@@ -23,7 +23,7 @@ from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.request_answers import CHECKS_PER_S, NONCE_NS, ButtonAnswers, LeaseAnswers
 from gateway.robot.settings import Settings
 from schemas.lease import Proof, signed_text
-from schemas.telemetry import Reason
+from schemas.words import Reason
 from tests.support.certs_folder import with_one_bit_changed
 
 NOW = dt.datetime(2026, 11, 22, tzinfo=dt.UTC)

@@ -25,8 +25,10 @@ from gateway.errors import ConfigError, DisconnectedError, LeaseError, LeaseLost
 from gateway.people.client.lease import TRY_AGAIN_S, Lease
 from gateway.people.client.lease_requests import Identity
 from gateway.people.client.renewal import RENEWALS, Holds, Renewal
+from schemas.ack import Ack
+from schemas.event import Event
 from schemas.lease import LeaseAck
-from schemas.telemetry import Ack, Event, Kind, Reason
+from schemas.words import Kind, Reason
 from tests.support.published import event
 from tests.support.waiting import wait_until
 

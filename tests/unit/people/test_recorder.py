@@ -19,7 +19,7 @@ from gateway.robot.core.events import Announce
 from gateway.robot.settings import Settings
 from schemas import keys
 from schemas.robot import LEGS
-from schemas.telemetry import Cause, Kind
+from schemas.words import Cause, Kind
 from tests.support.robot import LEG_3, Robot, leg
 
 pytestmark = pytest.mark.virtual_time

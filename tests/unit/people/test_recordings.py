@@ -21,8 +21,9 @@ from gateway.people.recorder.drawing import DRAWN, FRAMES
 from gateway.people.recorder.record import LOOK_S, MOST_WAITING, REPORTS, Recording, ReportQueue, flush_period_s
 from gateway.people.ros2.messages import Message
 from schemas import keys
+from schemas.config import ConfigReport
 from schemas.robot import SERVO_IDS
-from schemas.telemetry import ConfigReport, Kind
+from schemas.words import Kind
 from tests.support.published import MEASURED, event, state
 from tests.support.recordings import checked, disk_that_takes
 from tests.support.ros2_messages import decode

@@ -28,7 +28,7 @@ from gateway.robot.core.events import Announce
 from gateway.robot.runtime.calibrations import Calibrations
 from schemas import keys
 from schemas.robot import SERVO_IDS
-from schemas.telemetry import Kind
+from schemas.words import Kind
 from tests.support.published import AT_REST, ON_ITS_SIDE
 from tests.support.recordings import about, checked, parse, put, read
 from tests.support.robot import LEG_3, WALL_NS, Robot, leg

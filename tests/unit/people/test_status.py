@@ -9,18 +9,10 @@ import pytest
 from gateway import certs
 from gateway.people.commands.status import SILENT_AFTER_NS, Follower, NewsLine, sentences
 from gateway.people.watching.dangers import UNCONFIRMED
-from schemas.telemetry import (
-    Battery,
-    ButtonsReport,
-    CalibrationReport,
-    CertificateReport,
-    ControllerReport,
-    GatewayState,
-    LeaseReport,
-    Mode,
-    PowerReport,
-    WireReport,
-)
+from schemas.config import CalibrationReport, CertificateReport, WireReport
+from schemas.gateway_state import ButtonsReport, ControllerReport, GatewayState, LeaseReport, PowerReport
+from schemas.telemetry import Battery
+from schemas.words import Mode
 from tests.support.published import NS_PER_MS, WALL, rejected, state
 
 

@@ -38,7 +38,9 @@ from gateway.people.watching.dangers import (
     power_now,
     tone_of,
 )
-from schemas.telemetry import Ack, GatewayState, Kind, Mode, PowerReport
+from schemas.ack import Ack
+from schemas.gateway_state import GatewayState, PowerReport
+from schemas.words import Kind, Mode
 from tests.support.published import event, state
 from tests.unit.people.test_console_pages import OpenPage
 

@@ -14,8 +14,12 @@ from gateway.people.client.stopped import AGAIN, DECIDES, STOP
 from gateway.people.client.stream import WHOLE, Stream
 from gateway.people.ros2.joints import JointsError
 from gateway.people.ros2.motions import STARTS_WHOLE, JointCommands
+from schemas.ack import Ack
+from schemas.config import WireReport
+from schemas.event import Event
+from schemas.gateway_state import ControllerReport, GatewayState
 from schemas.robot import LEGS, SERVO_IDS
-from schemas.telemetry import Ack, Cause, ControllerReport, Event, GatewayState, Kind, Mode, Reason, WireReport
+from schemas.words import Cause, Kind, Mode, Reason
 from tests.support.published import WALL, event, state
 
 HZ = 50

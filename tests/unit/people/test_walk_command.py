@@ -24,8 +24,9 @@ from gateway.people.walking.motion import STILL, BodyPose, Odometry, Posture, Ve
 from gateway.people.walking.ride import Ride
 from gateway.people.walking.transitions import LONGEST_S
 from gateway.people.walking.words import NEWS_S, Newest, ground_now, robot_now
+from schemas.gateway_state import ControllerReport, GatewayState
 from schemas.robot import LEGS
-from schemas.telemetry import ControllerReport, GatewayState, Mode
+from schemas.words import Mode
 from tests.support.published import servo, state
 from tests.support.ridden import Ridden, standing
 from tests.support.walked import TICK_S

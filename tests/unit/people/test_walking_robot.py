@@ -14,8 +14,8 @@ from gateway.people.walking.planning import Planner, balanced, centre_of_mass, l
 from gateway.people.walking.robot import LIFT_M, Range, Robot, ranges
 from gateway.people.walking.transitions import Bend, Figure, Footsteps, Shift
 from schemas.calibration import Calibration, ServoCalibration
+from schemas.config import LimitsReport, ServoLimitsReport
 from schemas.robot import LEGS
-from schemas.telemetry import LimitsReport, ServoLimitsReport
 
 ROBOT = Robot(load())
 USUAL = ROBOT.stance(BodyPose(0.154))

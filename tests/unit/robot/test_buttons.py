@@ -9,7 +9,7 @@ from gateway.robot.core.buttons import MOST_OF_ONE, MOST_UNPROVED
 from gateway.robot.core.events import ButtonRequest, RequestAnswer
 from gateway.robot.core.rules import Rules
 from gateway.robot.core.supervisor import Supervisor
-from schemas.telemetry import Reason
+from schemas.words import Reason
 from tests.support.scenes import Scenes, all_stopped, play, scene_test
 
 TIMEOUT_MS = 1000

@@ -35,10 +35,11 @@ from gateway.robot.runtime.calibrations import (
 from gateway.robot.runtime.calibrations import read as read_file
 from gateway.robot.runtime.request_answers import PAUSE_S
 from schemas import calibration, keys
+from schemas.ack import Ack
 from schemas.calibration import CalibrationCommand
 from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.robot import SERVO_IDS
-from schemas.telemetry import Ack, Kind, Reason
+from schemas.words import Kind, Reason
 from tests.support.robot import LEG_3, START, Robot, leg, started_and_quiet
 from tests.unit.model.test_calibration import calibrations as any_calibration
 

@@ -24,7 +24,7 @@ from gateway.robot.runtime.executor import Outcome
 from gateway.robot.spi import Sent
 from schemas import keys
 from schemas.robot import LEGS, SERVO_IDS
-from schemas.telemetry import Cause, Kind, Mode, Reason
+from schemas.words import Cause, Kind, Mode, Reason
 from tests.support.controllers import on_wire
 from tests.support.elkapod import elkapod
 from tests.support.power import FedRobot

@@ -12,7 +12,7 @@ from gateway.robot.core.message import Verb
 from gateway.robot.runtime.shutdown import stop_the_robot
 from schemas import keys
 from schemas.robot import LEGS
-from schemas.telemetry import Kind, Mode, Reason
+from schemas.words import Kind, Mode, Reason
 from tests.support.controllers import preamble_of
 from tests.support.robot import LEG_1, LEG_3, MS, START, Robot, leg, servo, started, started_and_quiet
 

@@ -13,7 +13,7 @@ from gateway.model import elkapod as wire
 from gateway.model.elkapod import SHUTDOWN
 from gateway.robot.spi.uart import SerialUart
 from schemas import keys
-from schemas.telemetry import Kind, Mode
+from schemas.words import Kind, Mode
 from tests.support.elkapod import ElkapodRobot, all_legs, angles_of, elkapod
 from tests.support.robot import leg
 

@@ -36,7 +36,7 @@ from gateway.robot.runtime.estop_keeper import (
     write,
 )  # fmt: skip
 from schemas import keys
-from schemas.telemetry import Kind, Mode
+from schemas.words import Kind, Mode
 from tests.support import robot as robots
 from tests.support.robot import Robot
 

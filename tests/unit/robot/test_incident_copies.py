@@ -20,7 +20,7 @@ from gateway.robot.blackbox.recorder import SHARE, RecordShares
 from gateway.robot.blackbox.ring import RecordRing
 from gateway.robot.settings import Settings
 from schemas import keys
-from schemas.telemetry import Mode
+from schemas.words import Mode
 from tests.support.recordings import disk_that_takes, parse
 from tests.support.robot import LEG_3, Robot, leg, servo
 from tests.support.waiting import wait_until

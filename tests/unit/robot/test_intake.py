@@ -23,7 +23,7 @@ from schemas import keys
 from schemas.command import MAX_PAYLOAD_BYTES, MAX_SENT_MS, LegCommand, LegsCommand
 from schemas.keys import COMMAND_KEYS, ESTOP, CommandKey, Target, leg_command, servo_command
 from schemas.robot import SERVO_IDS
-from schemas.telemetry import Reason
+from schemas.words import Reason
 from tests.support.commands import (
     FAULTS,
     LEG,

@@ -21,7 +21,7 @@ from gateway.robot.core.message import Verb
 from gateway.robot.core.rules import Rules
 from gateway.robot.core.supervisor import ALL_EVENTS, Supervisor
 from schemas.calibration import CalibrationCommand, ServoChange
-from schemas.telemetry import Kind, Reason
+from schemas.words import Kind, Reason
 from tests.support.history import frames_of, numbered
 from tests.support.model_check import State
 from tests.support.model_check import events as candidates

@@ -10,7 +10,7 @@ from gateway.robot.core.events import RequestAnswer
 from gateway.robot.core.lease import MOST_ASKERS
 from schemas import keys
 from schemas.button import ButtonAck
-from schemas.telemetry import Kind, Reason
+from schemas.words import Kind, Reason
 from tests.support.robot import LEG_3, START, Robot, started_and_quiet
 from tests.support.scenes import Scenes, play, scene_test
 

@@ -26,7 +26,7 @@ from gateway.robot.zenoh_io.inbox import Inbox
 from gateway.robot.zenoh_io.receiver import STUCK_BEATS, ReceiverThread
 from schemas import keys
 from schemas.state import StateReport
-from schemas.telemetry import Mode
+from schemas.words import Mode
 from tests.support.interleaved import (
     PATIENCE_S,
     Payload,

@@ -32,7 +32,7 @@ from gateway.robot.runtime.supply import MOST_WAITING, Judged, RobotSupply, find
 from gateway.robot.spi import Wire
 from gateway.simulation.board import SimulatedBoard
 from schemas.robot import SERVO_IDS
-from schemas.telemetry import Kind
+from schemas.words import Kind
 from tests.support.power import ALL_SERVOS, CONFIRM_MS, NONE, Link, fed
 
 # ---- on

@@ -15,7 +15,8 @@ from gateway.robot.power.board import Confirmed, News
 from gateway.robot.settings import Settings
 from schemas import keys
 from schemas.robot import LEGS, SERVO_IDS
-from schemas.telemetry import Kind, Mode, Reason, Supply, Telemetry
+from schemas.telemetry import Supply, Telemetry
+from schemas.words import Kind, Mode, Reason
 from tests.support.elkapod import all_legs
 from tests.support.power import FedElkapod, FedRobot, running
 from tests.support.robot import LEG_3, START, leg, servo

@@ -18,7 +18,7 @@ from gateway.robot.power.board import Confirmed, News
 from gateway.robot.power.interface import LineError, open_bus
 from gateway.robot.power.line import PowerLine
 from schemas.robot import SERVO_IDS
-from schemas.telemetry import Kind
+from schemas.words import Kind
 from tests.support.boards import Adapter, BoardBus
 from tests.support.robot import Robot
 from tests.support.waiting import wait_until

@@ -19,8 +19,8 @@ from gateway.model.power_board import ALL, ASK_RAILS, SERVO_OVERCURRENT, CanFram
 from gateway.robot.core.message import Verb
 from gateway.simulation.board import SimulatedBoard
 from schemas import keys
+from schemas.ack import Ack
 from schemas.robot import LEGS, SERVO_IDS
-from schemas.telemetry import Ack
 from tests.support.elkapod import all_legs, angles_of
 from tests.support.power import FedElkapod, FedRobot
 from tests.support.robot import leg, servo

@@ -11,7 +11,7 @@ from gateway.robot.core.events import BusOpened, Command, Feed, PowerSeen, TimeP
 from gateway.robot.core.rules import Rules
 from gateway.robot.core.supervisor import Supervisor
 from schemas.robot import LEGS
-from schemas.telemetry import Kind
+from schemas.words import Kind
 from tests.support.scenes import play, scene_test
 
 BOARD: Final = "rules power=True\n 5 board\n"

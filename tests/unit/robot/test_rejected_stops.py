@@ -18,7 +18,7 @@ from schemas import keys
 from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.keys import COMMAND_KEYS
 from schemas.robot import LEGS, SERVO_IDS
-from schemas.telemetry import Kind, Reason
+from schemas.words import Kind, Reason
 from tests.support.robot import LEG_3, Robot, leg, started_and_quiet
 
 # ---- Stops as other programs write them, none of which is a valid command

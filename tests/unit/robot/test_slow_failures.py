@@ -12,7 +12,7 @@ import pytest
 from gateway.model.frames import ZERO, Framing
 from schemas import keys
 from schemas.robot import LEGS
-from schemas.telemetry import Kind, Mode
+from schemas.words import Kind, Mode
 from tests.support.robot import MS, Robot, leg, started_and_quiet
 
 pytestmark = [pytest.mark.virtual_time, pytest.mark.full]

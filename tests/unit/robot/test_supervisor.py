@@ -9,7 +9,7 @@ from gateway.rate_limit import NS_PER_MS, NS_PER_S
 from gateway.robot.core import events
 from gateway.robot.core.supervisor import IllegalEvent
 from schemas.robot import SERVO_IDS
-from schemas.telemetry import Mode
+from schemas.words import Mode
 from tests.support.model_check import copied, key, pending
 from tests.support.scenes import play, scene_test, targets_of
 from tests.support.transitions import TRANSITIONS

@@ -27,7 +27,7 @@ from gateway.robot.spi.plugin import PluginDevice
 from gateway.wire import ServoWire
 from schemas.calibration import CalibrationCommand, ServoChange
 from schemas.robot import LEGS, SERVO_IDS
-from schemas.telemetry import Kind, Mode
+from schemas.words import Kind, Mode
 from tests.support.controllers import FaultyController
 from tests.support.history import announced, demand, numbered
 from tests.support.model_check import State, both_ways, pending

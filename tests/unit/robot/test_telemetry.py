@@ -17,8 +17,11 @@ from gateway.model.elkapod import Measured
 from gateway.robot.runtime.prometheus import LOOPBACK, Numbers, may_ask, powered
 from gateway.robot.spi.bus import Bus
 from schemas import keys
+from schemas.config import ConfigReport
+from schemas.gateway_state import PowerReport
 from schemas.robot import LEGS
-from schemas.telemetry import ConfigReport, Kind, PowerReport, ServoTelemetry, Supply, Telemetry
+from schemas.telemetry import ServoTelemetry, Supply, Telemetry
+from schemas.words import Kind
 from tests.support.pages import described, documented
 from tests.support.published import AT_REST, WALL
 from tests.support.robot import LEG_3, START, Robot, leg, started

@@ -34,7 +34,9 @@ from gateway.people.walking.words import ground_now
 from gateway.people.watching.confirmed_stop import UntilConfirmed
 from gateway.people.watching.dangers import ALARM, Remark
 from gateway.words.text import visible
-from schemas.telemetry import Event, GatewayState, Mode
+from schemas.event import Event
+from schemas.gateway_state import GatewayState
+from schemas.words import Mode
 
 FRAME_S: Final = 0.1
 """Ages count up, so it draws ten times a second."""

@@ -1,5 +1,5 @@
 /**
- * What the console sends on the WebSocket. Reports of the gateway are those of schemas/telemetry.py, as far as the page
+ * What the console sends on the WebSocket. Reports of the gateway are those of `schemas/`, as far as the page
  * reads them; the page's own messages are in gateway/people/console/pages/page_messages.py. A field that the console has
  * no value for may be absent or null.
  *

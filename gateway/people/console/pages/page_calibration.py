@@ -29,8 +29,8 @@ from gateway.people.console.link import GatewayLink
 from gateway.people.console.pages.page_messages import CalibrateRequest, Message
 from gateway.people.console.pages.page_tasks import PageTasks
 from schemas import keys
+from schemas.gateway_state import GatewayState
 from schemas.robot import SERVO_IDS
-from schemas.telemetry import GatewayState
 
 
 @dataclass

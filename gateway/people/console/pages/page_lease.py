@@ -20,9 +20,10 @@ from gateway.people.client.blocking import Client
 from gateway.people.client.lease import NOT_OURS, RELEASE_S
 from gateway.people.console.pages.page_messages import DriveRequest, Message, StopButtonRequest
 from gateway.people.console.pages.page_tasks import PageTasks
+from schemas.ack import Ack
 from schemas.button import ButtonAck
 from schemas.lease import LeaseAck
-from schemas.telemetry import Ack, Reason
+from schemas.words import Reason
 
 RENEW_S: Final = 1.0
 """How long a renewal waits for its answer."""

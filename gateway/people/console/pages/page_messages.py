@@ -16,8 +16,9 @@ from pydantic_core import to_json
 from gateway.people.walking.gaits import GAITS
 from gateway.people.watching.dangers import tone_of
 from schemas import keys
+from schemas.ack import Ack
 from schemas.command import Closed, EstopNumber, LegCommand, LegsCommand, MoveCommand, SentMs, Source, StopCommand
-from schemas.telemetry import Ack, Event
+from schemas.event import Event
 
 MAX_MESSAGE_BYTES: Final = 8192
 """Limit of a message from a page: a payload of at most 4096 (`schemas`), and the fields around it."""

@@ -14,7 +14,7 @@ from typing import Any, Final, Generic, TypeVar
 from gateway.people.console.pages.page_messages import Message, json_of
 from gateway.people.watching.confirmed_stop import REQUESTS_AT_ONCE, ConfirmedStop, Press, StopRequest
 from gateway.people.watching.dangers import confirmed_off
-from schemas.telemetry import Ack
+from schemas.ack import Ack
 
 
 class EndError(Exception):

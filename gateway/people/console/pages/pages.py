@@ -38,7 +38,13 @@ from gateway.people.watching.dangers import PowerAlarm, power_now
 from gateway.people.watching.live import Receiver
 from gateway.rate_limit import RateLimit
 from schemas import keys
-from schemas.telemetry import Ack, BodyReport, Event, GatewayState, Kind, LimitsReport, Reason, Telemetry
+from schemas.ack import Ack
+from schemas.config import LimitsReport
+from schemas.event import Event
+from schemas.gateway_state import GatewayState
+from schemas.simulation import BodyReport
+from schemas.telemetry import Telemetry
+from schemas.words import Kind, Reason
 
 MAX_COMMANDS: Final = 16
 """Most commands of one page that wait for their acknowledgement."""
