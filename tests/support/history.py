@@ -320,6 +320,7 @@ def change_hands(
             f"leg {number} is commanded by {command.source or NOBODY}, and was by {leg.source or NOBODY}",
             command.source,
             legs=(number,),
+            source_id=command.source_id,
         )
         for number, leg in changed.items()
         if number in running and (command.source is not None or number in moved)

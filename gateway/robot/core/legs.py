@@ -35,7 +35,7 @@ from schemas.words import Cause, Kind, Reason
 
 _COMMAND: Final = Cause.COMMAND  # see `frames.OP_STOP`
 _BY: Final = {
-    **dict.fromkeys((Cause.STARTUP, Cause.REPEAT, Cause.SHUTDOWN), "the gateway"),
+    **dict.fromkeys((Cause.STARTUP, Cause.SHUTDOWN), "the gateway"),
     Cause.WATCHDOG: "the watchdog",
     Cause.ESTOP: "the emergency stop",
 }
@@ -61,7 +61,7 @@ class Halt(NamedTuple):
 class Legs:
     """The six legs, and the pending commands of each."""
 
-    # mutants accepted (FalseWithTrue, Forget, Step, TrueWithFalse): set before it is read
+    # mutants accepted (Step, TrueWithFalse): set before it is read
     def __init__(self, rules: Rules) -> None:
         self._rules = rules
         self.limits = AngleLimits(rules.joint_limits_cdeg, rules.landing_cdeg, rules.avoid_cdeg)
@@ -103,7 +103,7 @@ class Legs:
         self._halted: dict[tuple[Cause, Sender], set[int]] = {}
         """The legs whose servos ran or waited to start before a Stop of this step, by its cause and sender."""
 
-    def plan(self, now_ns: int) -> None:  # mutants accepted (Forget, Lt_LtE): equal times; each step sets it anew
+    def plan(self, now_ns: int) -> None:  # mutants accepted (Lt_LtE): equal times
         """End a step: compute what is due next, and whether anything runs."""
         due_ns, runs, rests = NEVER, False, False
         for leg in self._all:
@@ -145,7 +145,7 @@ class Legs:
 
     # ---- commands
 
-    def apply(self, command: Command, now_ns: int) -> list[Effect]:  # mutants accepted (Forget): only time is lost
+    def apply(self, command: Command, now_ns: int) -> list[Effect]:
         """Carry out an accepted command, its Stops first, and return its effects."""
         by_leg, effects = command.by_leg, list[Effect]()
         stops_some = len(command.moves) < len(command.targets)
@@ -298,7 +298,6 @@ class Legs:
         cause = Cause.WATCHDOG if lands else Cause.COMMAND
         return [Transmit(frame if wire is None else wire.frame(frame), cause, None, commands, done)]
 
-    # mutants accepted (Step): the longer way leads to the same frame
     def _frame(self, leg: Leg, named: Sequence[tuple[Servo, ServoOp]], now_ns: int) -> Frame:
         """Return the frame with these operations. If it names two servos, the third repeats its current state."""
         ops = {each.servo_id: op for each, op in named}

@@ -4,7 +4,8 @@ from typing import Final
 
 import pytest
 
-from gateway.robot.core.events import Announce, EmergencyStop, Reset
+from gateway.model.frames import STARTS, OneLeg
+from gateway.robot.core.events import Announce, Command, EmergencyStop, Reset
 from gateway.robot.core.rules import Rules
 from schemas.robot import LEGS, SERVO_IDS
 from tests.support.scenes import Scenes, play, scene_test
@@ -48,6 +49,26 @@ def test_an_event_for_each_cause_names_the_legs_that_ran_or_waited_to_start() ->
         halted the watchdog stopped leg 1
         460 estop
         halted the emergency stop stopped leg 2""")
+
+
+def test_what_stops_all_at_the_start_and_at_the_end_is_the_gateway_itself() -> None:
+    play("""
+        100 leg 1 start 90
+        110 fail
+        120 open
+        halted the gateway stopped leg 1
+        200 leg 2 start 90
+        210 end
+        halted the gateway stopped leg 2""")
+
+
+def test_a_taken_leg_names_the_session_that_took_it() -> None:
+    robot = Scenes()
+    for number, (source, source_id) in enumerate([("anna", "a1"), ("ben", "b2")], 1):
+        targets = OneLeg(1, [STARTS[90_00]] * 3).servos
+        robot.take(10 * number, Command(targets, key="leg", number=number, source=source, source_id=source_id))
+    (event,) = robot.announced
+    assert (event.kind, event.source, event.source_id) == ("source_changed", "ben", "b2")
 
 
 def test_other_legs_do_not_feed_it() -> None:
