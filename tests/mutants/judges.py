@@ -64,6 +64,7 @@ JUDGES: Final = {
     "gateway/robot/core/servo.py": (*_robot("pacing supervisor_takeover supervisor_landing"), *_SUPERVISOR),
     "gateway/robot/core/pace.py": _robot("pacing supervisor_speed supervisor_takeover supervisor_landing"),
     "gateway/robot/core/gates/rate.py": _robot("pacing supervisor"),
+    "gateway/robot/core/gates/burst.py": _robot("backlog supervisor_stops"),
     "gateway/robot/core/gates/stagger.py": _robot("supervisor_stops backlog supervisor"),
     "gateway/robot/core/gates/supply.py": _robot("power_rule power_conductor"),
     "gateway/robot/core/gates/whole.py": _robot("supervisor elkapod_conductor"),

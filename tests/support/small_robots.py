@@ -294,7 +294,15 @@ CONFIGURATIONS: Final = (
         _rules(timeout_ns=2 * TICK, period_ns=3 * TICK, power=True, feed_ns=4 * TICK),
         (_ONE_SERVO[0], _ONE_SERVO[1], _ONE_SERVO[2]),
         waits_ns=(0, TICK, 3 * TICK),
-        boards=(_FED, _ALIVE, _SILENT, _BLOCKED, _DOUBT),
+        boards=(_FED, _SILENT, _BLOCKED),
+        calm=False,
+    ),
+    Configuration(
+        "one servo, and a board that does not confirm",
+        _rules(timeout_ns=2 * TICK, period_ns=3 * TICK, power=True, feed_ns=4 * TICK),
+        (_ONE_SERVO[0], _ONE_SERVO[1], _ONE_SERVO[2]),
+        waits_ns=(0, TICK, 3 * TICK),
+        boards=(_FED, _ALIVE, _DOUBT),
         calm=False,
     ),
     Configuration(
