@@ -66,7 +66,7 @@ def test_the_list_in_the_docs_is_the_page_and_no_web_page_reads_it_by_a_name_of_
 SPEAKER = """
 import logging, sys, threading, warnings
 from gateway.host import logs
-from schemas.telemetry import Kind, Reason
+from schemas.words import Kind, Reason
 logs.set_up()
 logger = logging.getLogger("gateway.test")
 logger.debug("detail")
