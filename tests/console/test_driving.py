@@ -113,7 +113,7 @@ def test_a_button_that_is_held_runs_its_leg_and_a_stop_ends_it_for_this_hold(vis
 @pytest.mark.parametrize(
     ("lose", "words"),
     [
-        (lambda page, _: page.lose_focus(), "this window has lost the focus"),
+        (lambda page, _: page.lose_focus(), "lost the focus"),
         (lambda _, watcher: watcher.stop(1), "servo 11 did not run"),
     ],
     ids=["without focus", "stopped by another"],

@@ -128,7 +128,7 @@ def test_the_token_stays_in_the_server(page: Page, other: Page) -> None:
     other.state()
     heard = page.heard + other.heard
     assert any('"mine":true' in text for text in heard)
-    ids = set(re.findall('"source_id":"([0-9a-f]{32})"', " ".join(heard)))
+    ids = set(re.findall('"source_id":"([0-9a-f]+)"', " ".join(heard)))  # Zenoh writes no leading zeros
     assert acquired["source_id"] in ids
     assert set(re.findall("[0-9a-f]{32}", " ".join(heard))) <= ids
 
