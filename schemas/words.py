@@ -7,7 +7,7 @@ from pydantic import Field
 
 
 class Value(StrEnum):
-    """A word of the interface, and its meaning."""
+    """A text that the interface defines. `meaning` explains it in the docs."""
 
     meaning: str
 

@@ -62,7 +62,7 @@ BEAT_S = 0.1
 """Period of a beat: measure the loop's lag, notify systemd, publish state and telemetry. It suits people who watch a
 page. A systemd watchdog may need a shorter period."""
 REST_BEAT_S: Final = 0.3
-"""The same while nothing runs and nobody listens: a wake of an idle processor takes half as long as a beat's work."""
+"""The same while nothing runs and nobody listens: more than half of a beat's time is the wake of an idle processor."""
 
 SERVOS_FILE: Final = "servos"
 _LINE: Final = "%020d %d\n"

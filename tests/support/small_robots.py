@@ -289,21 +289,19 @@ CONFIGURATIONS: Final = (
         (("legs", _each(START, *_BOTH)), ("servo", _each(STOP, 21))),
         bodies=((30_00, 0), (31_00, 0), (None, 0)),
     ),
-    Configuration(
-        "one servo, and a board that feeds it",
-        _rules(timeout_ns=2 * TICK, period_ns=3 * TICK, power=True, feed_ns=4 * TICK),
-        (_ONE_SERVO[0], _ONE_SERVO[1], _ONE_SERVO[2]),
-        waits_ns=(0, TICK, 3 * TICK),
-        boards=(_FED, _SILENT, _BLOCKED),
-        calm=False,
-    ),
-    Configuration(
-        "one servo, and a board that does not confirm",
-        _rules(timeout_ns=2 * TICK, period_ns=3 * TICK, power=True, feed_ns=4 * TICK),
-        (_ONE_SERVO[0], _ONE_SERVO[1], _ONE_SERVO[2]),
-        waits_ns=(0, TICK, 3 * TICK),
-        boards=(_FED, _ALIVE, _DOUBT),
-        calm=False,
+    *(
+        Configuration(
+            f"one servo, and a board that {does}",
+            _rules(timeout_ns=2 * TICK, period_ns=3 * TICK, power=True, feed_ns=4 * TICK),
+            (_ONE_SERVO[0], _ONE_SERVO[1], _ONE_SERVO[2]),
+            waits_ns=(0, TICK, 3 * TICK),
+            boards=boards,
+            calm=False,
+        )
+        for does, boards in (
+            ("feeds it", (_FED, _SILENT, _BLOCKED)),
+            ("does not confirm", (_FED, _ALIVE, _DOUBT)),
+        )
     ),
     Configuration(
         "two legs, landing, and a board that feeds them",

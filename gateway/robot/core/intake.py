@@ -49,11 +49,8 @@ def _read_servo(servo_id: int, payload: bytes) -> Command:
 
 
 def _leg_of(leg: int, setpoints: Sequence[dict[str, Any]]) -> OneLeg:
-    """Return the frame of a leg's three setpoints."""
-    try:
-        return OneLeg(leg, [_OPS[each["op"]][round(each["angle_deg"] * 100)] for each in setpoints])
-    except KeyError:  # a Stop has no angle
-        return OneLeg(leg, [_OPS[each["op"]][round(each.get("angle_deg", 0) * 100)] for each in setpoints])
+    """Return the frame of a leg's three setpoints. A Stop has no angle."""
+    return OneLeg(leg, [_OPS[each["op"]][round(each.get("angle_deg", 0) * 100)] for each in setpoints])
 
 
 def _read_leg(leg: int, payload: bytes) -> Command:
@@ -66,15 +63,16 @@ def _read_leg(leg: int, payload: bytes) -> Command:
 def _read_legs(_: int, payload: bytes) -> Command:
     sent: dict[str, Any] = _LEGS_COMMAND.validate_json(payload)
     targets: Targets = ()
-    own: tuple[Frame, ...] = ()
+    frames: tuple[Frame, ...] = ()
     moves = True
     for leg, of_leg in sorted(sent["legs"].items()):
         frame = _leg_of(int(leg), of_leg["servos"])
         targets += frame.servos
-        own += (frame,)
-        moves = moves and frame.moves
-    source, sent_ms, lease = sent["source"], sent["sent_ms"], sent["lease"]
-    return Command(targets, frames=own if moves else (), source=source, sent_ms=sent_ms, lease=lease)
+        frames += (frame,)
+        if not frame.moves:
+            moves = False
+    own = frames if moves else ()
+    return Command(targets, frames=own, source=sent["source"], sent_ms=sent["sent_ms"], lease=sent["lease"])
 
 
 def _read_reset(_: int, payload: bytes) -> Reset:

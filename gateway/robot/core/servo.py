@@ -174,9 +174,10 @@ class Servo:  # mutants accepted (Step): set before it is read
 
 
 def moved(servos: Mapping[int, Servo], targets: Targets, now_ns: int) -> None:
-    """Record frames that move running servos without a target to other angles. Ends at the first that is no such."""
+    """Record frames that move running servos without a target to other angles. Raises IllegalTransition at another."""
     for servo_id, op in targets:
         servo = servos[servo_id]
         if servo.life is not RUNNING or servo.target is not None:
             raise IllegalTransition(f"servo {servo_id} is {servo.life}, and a frame moves it")
-        servo.angle_cdeg, servo.since_ns = op.angle_cdeg, now_ns
+        servo.angle_cdeg = op.angle_cdeg
+        servo.since_ns = now_ns

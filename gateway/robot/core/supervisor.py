@@ -10,7 +10,7 @@ A step has this order; the code has the same numbers:
 2. What brings the robot down: a rule under which no servo may run.
 3. Deadlines of legs: a command's, and the power board's. An event comes after deadlines, for which it is too late.
 4. What the event halts. A halt voids 2 and 3.
-5. Starts that have waited long enough to be judged.
+5. Starts that have waited long enough to be judged, unless the event stops all servos.
 6. The event itself.
 7. What became due: repeated Stops, and frames whose rate slot has come, which the event may have used.
 8. Stops for legs at rest.
@@ -83,7 +83,7 @@ _REJECTING: Final = {
 }
 """The modes in which every command is rejected, and why."""
 _STOPS_ALL: Final = frozenset({BusOpened, BusFailed, ShutDown})
-"""These events, and a Halt, void due deadlines, and reject what waits for a reason of their own."""
+"""These events, and a Halt, void due deadlines, and reject waiting starts even if their judgement is due."""
 _NOT_AT_THE_END: Final = frozenset({LeaseRequest, ButtonRequest, PowerSeen})
 ORDER: tuple[type[Interlock[Any]], ...] = (
     Outside,

@@ -29,7 +29,7 @@ class IllegalTransferError(RuntimeError):
     """The gateway tried to write an illegal transfer: its own bug, never a fault of the caller or the wire."""
 
 
-# mutants accepted (AndWithOr, Forget, Step): a shortcut; an announcement's first byte is its last
+# mutants accepted (Forget, Step): a shortcut; an announcement's first byte is its last
 def check(batch: Batch, avoid_cdeg: range, *, announces: bool) -> None:
     """Raise IllegalTransferError unless a batch is legal. Call it before any byte leaves.
 

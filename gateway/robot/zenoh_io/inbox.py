@@ -91,7 +91,7 @@ class Inbox(Messages):
         self._woken: dict[str, int] = {}
         """Wakeups for each key since the last tick."""
         self._read_all = False
-        self._woke = False
+        self._got_wakeup = False
         """Whether a wakeup has come since the latest beat."""
         self.is_quiet = False
         """Whether none had come, and no receiver thread handled an item, at the latest beat."""
@@ -171,7 +171,8 @@ class Inbox(Messages):
 
     def makes_progress(self) -> bool:
         """Return whether all threads run, and the receiver threads make progress. Call it once a beat, as owner."""
-        self.is_quiet, self._woke = not self._woke and not any(each.at_work for each in self._receivers), False
+        self.is_quiet = not self._got_wakeup and not any(each.at_work for each in self._receivers)
+        self._got_wakeup = False
         self._wake()  # all rings are read: a message may have come before its wakeup, or long after it
         progress = [receiver.makes_progress() for receiver in self._receivers]  # each counts its beats
         return all(progress) and all(worker.runs for worker in self._workers)
@@ -215,7 +216,7 @@ class Inbox(Messages):
 
     # mutants accepted (Forget): freed a moment later
     def _on_wakeup(self, item: _Item, received_ns: int) -> float | None:
-        self._woke = True
+        self._got_wakeup = True
         self._note(item, received_ns)
         del item
         # The wakeups are emptied before the rings are read, so that a message in between wakes again. Wakeups that

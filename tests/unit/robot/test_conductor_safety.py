@@ -10,6 +10,7 @@ from gateway.model.frames import Framing, stop_leg
 from gateway.robot.core import events
 from gateway.robot.core.message import Verb
 from gateway.robot.runtime.shutdown import stop_the_robot
+from gateway.robot.service import REST_BEAT_S
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.words import Kind, Mode, Reason
@@ -151,14 +152,14 @@ async def test_the_keeper_is_called_after_the_stops_of_each_emergency_stop_and_a
 
 async def test_a_gateway_needs_beats_while_a_servo_runs_or_a_late_one_would_look_like_a_pause() -> None:
     robot = await started_and_quiet()
-    assert robot.conductor.rests(0.3)
+    assert robot.conductor.rests(REST_BEAT_S)
     robot.put(keys.leg_command(1), leg("start", 90, 45, 120))
     await asyncio.sleep(0.1)
-    assert not robot.conductor.rests(0.3)
+    assert not robot.conductor.rests(REST_BEAT_S)
     robot.put(keys.leg_command(1), {"servos": [{"op": "stop"}] * 3})
-    assert robot.conductor.rests(0.3)
+    assert robot.conductor.rests(REST_BEAT_S)
     for max_age_ms, rests in ((0, True), (250, False), (499, False), (500, True)):
-        assert (await started_and_quiet(limits={"max_age_ms": max_age_ms})).conductor.rests(0.3) is rests
+        assert (await started_and_quiet(limits={"max_age_ms": max_age_ms})).conductor.rests(REST_BEAT_S) is rests
 
 
 # ---- messages that were lost in a flood of their key
