@@ -3,6 +3,7 @@
 from collections.abc import Collection
 from contextlib import AbstractContextManager
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 from typing import Final
 
 from gateway.client import Client
@@ -25,6 +26,16 @@ from tests.support.waiting import meanwhile
 
 NS_PER_MS = 1_000_000
 WALL = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
+_RECORDED = Path(__file__).parents[1] / "data" / "wire"
+
+
+def payloads_of(version: str) -> dict[str, list[str]]:
+    """Return the payloads that a gateway of this version has published, by their kind. A line has both."""
+    found: dict[str, list[str]] = {}
+    for line in (_RECORDED / f"{version}.txt").read_text().splitlines():
+        kind, _, payload = line.partition(" ")
+        found.setdefault(kind, []).append(payload)
+    return found
 
 
 def state(

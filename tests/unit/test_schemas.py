@@ -2,7 +2,6 @@
 
 import json
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -143,9 +142,6 @@ def test_the_fullest_command_needs_less_than_a_payload_may_have() -> None:
 # ---- what goes out
 
 
-WIRE = Path(__file__).parents[1] / "data" / "wire" / "1.1"
-
-
 reasons = st.sampled_from(Reason)
 texts = st.text(st.characters(exclude_categories=["Cs"]))
 floats = st.floats(0, 1e9)
@@ -165,8 +161,8 @@ reports: st.SearchStrategy[BaseModel] = st.one_of(
     st.builds(ButtonAck, accepted=st.booleans(), reason=st.none() | reasons, detail=st.none() | texts,
               nonce=st.none() | texts, button=st.none() | texts, timeout_ms=st.none() | floats,
               alive=st.none() | st.integers(0), required=st.none() | st.integers(0)),
-    st.sampled_from((WIRE / "state.jsonl").read_text().splitlines()).map(StateReport.model_validate_json),
-    st.sampled_from((WIRE / "config.jsonl").read_text().splitlines()).map(ConfigReport.model_validate_json),
+    st.sampled_from(published.payloads_of("1.1")["state"]).map(StateReport.model_validate_json),
+    st.sampled_from(published.payloads_of("1.1")["config"]).map(ConfigReport.model_validate_json),
 )  # fmt: skip
 
 
@@ -308,7 +304,6 @@ def test_a_cut_name_is_still_its_sources() -> None:
     assert not legs[0].model_copy(update={"source": CUT}).is_of("anna"), "a name of which nothing is left is nobody's"
 
 
-RECORDINGS = Path(__file__).parents[1] / "data" / "wire"
 MODELS: dict[str, type[BaseModel]] = {
     "ack": Ack,
     "state": StateReport,
@@ -323,13 +318,10 @@ BEFORE_CONFIG = "1.0"
 """Its states have the configuration inside, as recordings of rides do."""
 
 RECORDED = [
-    (
-        f"{path.parent.name}/{path.name}:{number}",
-        GatewayState if path.stem == "state" and path.parent.name == BEFORE_CONFIG else MODELS[path.stem],
-        line,
-    )
-    for path in sorted(RECORDINGS.glob("*/*.jsonl"))
-    for number, line in enumerate(path.read_text().splitlines(), start=1)
+    (f"{version} {name} {line}", GatewayState if (version, name) == (BEFORE_CONFIG, "state") else MODELS[name], line)
+    for version in (BEFORE_CONFIG, "1.1")
+    for name, lines in published.payloads_of(version).items()
+    for line in lines
 ]
 
 
@@ -361,10 +353,9 @@ _WORDS = ("kind", "mode", "reason", "cause", "watchdog")
 
 
 def test_every_kind_of_payload_has_been_recorded() -> None:
-    assert {path.parent.name for path in RECORDINGS.glob("*/*.jsonl")} == {BEFORE_CONFIG, "1.1"}
     for version, missing in {BEFORE_CONFIG: {"config", "lease", "calibration", "button"}, "1.1": set[str]()}.items():
-        assert {path.stem for path in (RECORDINGS / version).glob("*.jsonl")} == MODELS.keys() - missing, version
-    assert '"revocations":{"number":1' in (RECORDINGS / "1.1/config.jsonl").read_text()
+        assert published.payloads_of(version).keys() == MODELS.keys() - missing, version
+    assert any('"revocations":{"number":1' in each for each in published.payloads_of("1.1")["config"])
 
 
 def test_what_earlier_versions_sent_is_read_whole() -> None:

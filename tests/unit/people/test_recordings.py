@@ -24,20 +24,19 @@ from schemas import keys
 from schemas.config import ConfigReport
 from schemas.robot import SERVO_IDS
 from schemas.words import Kind
-from tests.support.published import MEASURED, event, state
+from tests.support.published import MEASURED, event, payloads_of, state
 from tests.support.recordings import checked, disk_that_takes
 from tests.support.ros2_messages import decode
 
-WIRE: Final = Path(__file__).parents[2] / "data" / "wire"
 DOCS: Final = Path(__file__).parents[3] / "docs"
 PAGE: Final = (DOCS / "recordings.md").read_text()
 START_NS: Final = 1_700_000_000_000_000_000
 PERIOD_NS: Final = 3_333_333
 NAMES: Final = {
-    keys.STATE: "1.0/state",
-    keys.EVENT: "1.0/event",
-    keys.FRAME: "1.0/frame",
-    keys.CALIBRATION: "1.1/calibration",
+    keys.STATE: ("1.0", "state"),
+    keys.EVENT: ("1.0", "event"),
+    keys.FRAME: ("1.0", "frame"),
+    keys.CALIBRATION: ("1.1", "calibration"),
 }
 BODY: Final[dict[str, Any]] = {
     "time": "2026-11-22T16:34:33.129026Z",
@@ -55,10 +54,7 @@ BODY: Final[dict[str, Any]] = {
 
 def reports(count: int) -> Iterator[tuple[str, dict[str, Any], int]]:
     """Recorded payloads of all keys, in turn."""
-    wires = {
-        key: [json.loads(line) for line in (WIRE / f"{name}.jsonl").read_text().splitlines()]
-        for key, name in NAMES.items()
-    }
+    wires = {key: [json.loads(line) for line in payloads_of(version)[name]] for key, (version, name) in NAMES.items()}
     wires[keys.SIM_BODY] = [BODY]
     wires[keys.CONFIG] = [json.loads(ConfigReport.model_validate(dict(state())).model_dump_json())]
     wires[keys.TELEMETRY] = [MEASURED.model_dump(mode="json")]
