@@ -1,6 +1,7 @@
 """Finds the incidents in a ring: what the gateway noted as one, and each end of a gateway that did not end in order."""
 
 import itertools
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Final
@@ -33,8 +34,6 @@ class Incident:
     end_ns: int
     wall_offset_ns: int
     """Add it to a monotonic time to get ns since 1970."""
-    killed_ns: int | None = None
-    """When the gateway wrote its last record, if it ended during the incident without recording its end."""
 
     def wall_ns(self, ns: int) -> int:
         """Return ns since 1970 at monotonic time `ns`, at least 0: a machine without a clock begins in 1970."""
@@ -53,24 +52,33 @@ def kind_of(name: str) -> str:
 
 def find(records: rec.Records) -> list[Incident]:
     """Return the incidents of a ring, oldest first."""
-    if not len(records):
-        return []
+    found: list[Incident] = []
+    for run in _runs(records):
+        noted, killed_ns = _noted(records, run), _killed_ns(records, run)
+        found += noted
+        if killed_ns is not None and not (noted and noted[-1].begin_ns <= killed_ns <= noted[-1].end_ns):
+            found += _crash(records, run, killed_ns)
+    return found
+
+
+def killed(records: rec.Records) -> dict[int, int]:
+    """Return when gateways that did not record their end wrote their last records, by the place of the next one's."""
+    return {run.stop: ns for run in _runs(records) if (ns := _killed_ns(records, run)) is not None}
+
+
+def _runs(records: rec.Records) -> Iterable[range]:
+    """Return the places of each gateway's records."""
     starts = [index for index, kind in enumerate(records.kinds) if kind == form.START and index]
-    runs = itertools.pairwise((0, *starts, len(records)))
-    return [each for begin, end in runs for each in _of_one_run(records, range(begin, end))]
+    return itertools.starmap(range, itertools.pairwise((0, *starts, len(records))))
 
 
-def _of_one_run(records: rec.Records, run: range) -> list[Incident]:
-    """Return the incidents of one gateway, oldest first. `run`: the places of its records."""
-    found, last = _noted(records, run), run[-LAST_RECORDS:]
-    alive = records.written and run.stop == len(records)
-    if alive or run.stop in records.gaps or any(records.kinds[index] == form.END for index in last):
-        return found
-    killed_ns = max(records.times_ns[index] for index in last)
-    if found and found[-1].begin_ns <= killed_ns <= found[-1].end_ns:
-        return [*found[:-1], replace(found[-1], killed_ns=killed_ns)]
-    crash = _crash(records, run, killed_ns)
-    return found if crash is None else [*found, crash]
+def _killed_ns(records: rec.Records, run: range) -> int | None:
+    """Return when a gateway wrote its last record; None if it runs, recorded its end, or its last records are lost."""
+    last = run[-LAST_RECORDS:]
+    runs = records.written and run.stop == len(records)
+    if runs or run.stop in records.gaps or any(records.kinds[index] == form.END for index in last):
+        return None
+    return max((records.times_ns[index] for index in last), default=None)
 
 
 def _noted(records: rec.Records, run: range) -> list[Incident]:
@@ -109,14 +117,13 @@ def _zero(records: rec.Records, near: range, noted_ns: int, kind: str) -> int:
     return zero_ns
 
 
-def _crash(records: rec.Records, run: range, killed_ns: int) -> Incident | None:
-    """The end of a gateway that did not record it; None if no record shows the time of day."""
+def _crash(records: rec.Records, run: range, killed_ns: int) -> Iterator[Incident]:
+    """Yield the end of a gateway that did not record it, if a record shows the time of day."""
     for index in reversed(run):
         if records.kinds[index] in _TELL_THE_TIME:
             record = records[index]
             if isinstance(record.content, rec.Start | rec.WallTime):
                 offset_ns = record.content.wall_ns - record.ns
                 name = form.incident_id(killed_ns + offset_ns, CRASH)
-                begin_ns, end_ns = killed_ns - BEFORE_NS, killed_ns + form.FOLLOW_NS
-                return Incident(name, killed_ns, begin_ns, end_ns, offset_ns, killed_ns)
-    return None
+                yield Incident(name, killed_ns, killed_ns - BEFORE_NS, killed_ns + form.FOLLOW_NS, offset_ns)
+                return

@@ -1,9 +1,10 @@
 """An incident's records as messages of a recording: on the channels of our keys, in the time that people read."""
 
 from array import array
-from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
+from heapq import merge
+from operator import attrgetter
 from typing import Annotated, Any, Final, NamedTuple
 
 from pydantic import AwareDatetime, Field
@@ -13,7 +14,7 @@ from gateway.model.elkapod import Measured
 from gateway.model.frames import Op
 from gateway.model.telemetry import report_of
 from gateway.people.incidents import ring_reader as rec
-from gateway.people.incidents.find import Incident
+from gateway.people.incidents.find import Incident, killed
 from schemas import keys
 from schemas.calibration import Calibration
 from schemas.event import Event, FrameRecord
@@ -81,42 +82,33 @@ def messages(incident: Incident, records: rec.Records) -> Iterator[RecordedMessa
     """
     times_ns = records.times_ns
     taken = array("L", (index for index, ns in enumerate(times_ns) if incident.begin_ns <= ns <= incident.end_ns))
-    decided_at = _decided(records, taken)
-    notes_before = [_noted(incident.wall_ns(incident.zero_ns), INCIDENT, incident.name)]
+    before = [_noted(incident.wall_ns(incident.zero_ns), INCIDENT, incident.name)]
     for index in taken:
         if records.kinds[index] == form.START:
-            notes_before += _stops_before(records[index], incident)
-    notes = deque(sorted(notes_before, key=lambda note: note.time_ns))
+            before += _stops_before(records[index], incident)
+    by_time = attrgetter("time_ns")
+    return merge(sorted(before, key=by_time), _reported(incident, records, taken), key=by_time)
+
+
+def _reported(incident: Incident, records: rec.Records, taken: Sequence[int]) -> Iterator[RecordedMessage]:
+    decided_at = _decided(records, taken)
     calibration = records.calibration_at(incident.begin_ns)
     if calibration is not None:  # so that the frames can be read, which have the servos' own angles
         begin_ns = incident.wall_ns(incident.begin_ns)
         yield RecordedMessage(keys.CALIBRATION, calibration.model_dump(mode="json"), begin_ns)
-    killed_ns = incident.killed_ns
-    last: int | None = None  # the place in `records` of what a gateway wrote that has not recorded its end
-    ended = False
-    before_ns = incident.begin_ns
-    for index in sorted(taken, key=times_ns.__getitem__):
+    killed_ns = {place: ns for place, ns in killed(records).items() if incident.begin_ns <= ns <= incident.end_ns}
+    for index in sorted(taken, key=records.times_ns.__getitem__):
+        if index in killed_ns:
+            yield _killed(incident.wall_ns(killed_ns.pop(index)))
         record = records[index]
         if isinstance(record.content, Calibration):
             if record.content == calibration:
                 continue
             calibration = record.content
-        if killed_ns is not None and record.ns > killed_ns:
-            yield _killed(incident.wall_ns(killed_ns))
-            killed_ns = last = None
-        wall_ns = incident.wall_ns(record.ns)
-        while notes and notes[0].time_ns <= wall_ns:
-            yield notes.popleft()
-        if isinstance(record.content, rec.Start):
-            if last is not None and last < index:  # the gateway before it, whose end is an incident of its own
-                yield _killed(incident.wall_ns(before_ns))
-            ended = False
-        ended = ended or records.kinds[index] == form.END
-        last, before_ns = None if ended else index, record.ns
-        yield from _messages(record, records[decided_at[index]] if index in decided_at else None, wall_ns)
-    yield from notes
-    if killed_ns is not None:
-        yield _killed(incident.wall_ns(killed_ns))
+        decided = records[decided_at[index]] if index in decided_at else None
+        yield from _messages(record, decided, incident.wall_ns(record.ns))
+    for ns in killed_ns.values():
+        yield _killed(incident.wall_ns(ns))
 
 
 def _decided(records: rec.Records, taken: Iterable[int]) -> Mapping[int, int]:

@@ -15,6 +15,7 @@ import zlib
 from array import array
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
+from io import BytesIO
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeVar
 
@@ -262,20 +263,19 @@ def _contents(slots: Mapping[int, form.Slot], number: int) -> Iterator[tuple[int
         last = more
         rest += last.rest
     if slot.kind == form.CARRIED_OUT:
+        content = BytesIO(rest)
         try:
-            ns, transfer_ns, length, number, *of_command, own = form.CARRIED_OUT_HEAD.unpack_from(rest)
+            ns, transfer_ns, length, number, *of_command, own = _unpacked(form.CARRIED_OUT_HEAD, content)
         except struct.error:
             return
-        data, rest = (rest := rest[form.CARRIED_OUT_HEAD.size :])[:length], rest[length:]
-        frames: list[bytes] = []
+        data, frames = content.read(length), list[bytes]()
         while data:
             frames.append(data[: data[0] or length])
             data = data[len(frames[-1]) :]
-        targets = b"".join([frame[2:] for frame in frames])
-        if not own:
-            targets, rest = rest[: len(targets)], rest[len(targets) :]
+        of_frames = b"".join([frame[2:] for frame in frames])
+        targets = of_frames if own else content.read(len(of_frames))
         head = form.COMMAND_HEAD.pack(number, *of_command, len(targets) // form.TARGET_BYTES)
-        yield form.COMMAND, slot.ns, head + targets + rest + form.outcomes(((number, form.ACCEPTED),))
+        yield form.COMMAND, slot.ns, head + targets + content.read() + form.outcomes(((number, form.ACCEPTED),))
         for frame in frames:
             yield form.FRAME, ns, form.frame(frame, Cause.COMMAND, transfer_ns)
     elif slot.kind in _READERS:
@@ -297,59 +297,47 @@ def _fields(kind: type[C]) -> Callable[[bytes], C]:
 
 
 def _command(rest: bytes) -> CommandRecord:
-    number, sent_ms, after_ns, waited_ns, lease, count = form.COMMAND_HEAD.unpack_from(rest)
-    begin, end = form.COMMAND_HEAD.size, form.COMMAND_HEAD.size + form.TARGET_BYTES * count
-    targets = tuple((rest[at], read_op(rest, at + 1)) for at in range(begin, end, form.TARGET_BYTES))
+    content = BytesIO(rest)
+    number, sent_ms, after_ns, waited_ns, lease, count = _unpacked(form.COMMAND_HEAD, content)
+    targets = tuple((_byte(content), read_op(content.read(form.TARGET_BYTES - 1), 0)) for _ in range(count))
     sent_ms = sent_ms if math.isfinite(sent_ms) else None
-    verb, key, source, source_id, end = _sender(rest, end)
-    ended, _ = _outcomes(rest, end)
-    return CommandRecord(number, verb, key, source, sent_ms, targets, source_id, after_ns, waited_ns, lease, ended)
-
-
-def _sender(rest: bytes, begin: int) -> tuple[str, str, str | None, str | None, int]:
-    """Return a command's verb, key, source and source_id, and where they end."""
-    verb, number = form.VERBS[rest[begin]], rest[begin + 1]
-    *keys, source = _read_texts(rest, begin + 2, 1 + (number == form.OTHER_KEY))
-    at = begin + 2 + sum(1 + len(text.encode()) for text in (*keys, source))
-    end = at + 1 + rest[at]
-    if rest[at]:
-        source_id = f"{int.from_bytes(rest[at + 1 : end], 'big'):x}"
-    else:
-        (source_id,), end = _read_texts(rest, at + 1, 1), at + 2 + rest[at + 1]
-    return verb, keys[0] if keys else form.KEYS[number], source or source_id or None, source_id or None, end
-
-
-def _outcomes(rest: bytes, begin: int) -> tuple[Outcomes, int]:
-    """Return the outcomes that begin here, and where they end."""
-    found, at = list[tuple[int, str]](), begin + 1
-    for _ in range(rest[begin]):
-        (number,), at = form.OUTCOME_HEAD.unpack_from(rest, at), at + form.OUTCOME_HEAD.size
-        found += [(number, _read_texts(rest, at, 1)[0])]
-        at += 1 + rest[at]
-    return tuple(found), at
+    verb, known = form.VERBS[_byte(content)], _byte(content)
+    key = _text(content) if known == form.OTHER_KEY else form.KEYS[known]
+    source, id_bytes = _text(content), _byte(content)
+    source_id = (f"{int.from_bytes(content.read(id_bytes)):x}" if id_bytes else _text(content)) or None
+    of_step = after_ns, waited_ns, lease, _outcomes(content)
+    return CommandRecord(number, verb, key, source or source_id, sent_ms, targets, source_id, *of_step)
 
 
 def _step(rest: bytes) -> StepRecord:
-    ended, end = _outcomes(rest, form.STEP_HEAD.size)
-    event = from_json(rest[end:])
+    content = BytesIO(rest)
+    (instant_ns,), ended = _unpacked(form.STEP_HEAD, content), _outcomes(content)
+    event = from_json(content.read())
     if not isinstance(event, dict):
         raise TypeError("an event is an object")
-    return StepRecord(form.STEP_HEAD.unpack_from(rest)[0], event, ended)
+    return StepRecord(instant_ns, event, ended)
 
 
 def _frame(rest: bytes) -> FrameWritten:
-    transfer_ns, late_ns, length = form.FRAME_HEAD.unpack_from(rest)
-    (cause,) = _read_texts(rest, form.FRAME_HEAD.size + length, 1)
-    return FrameWritten(rest[form.FRAME_HEAD.size : form.FRAME_HEAD.size + length], cause, transfer_ns, late_ns)
+    content = BytesIO(rest)
+    transfer_ns, late_ns, length = _unpacked(form.FRAME_HEAD, content)
+    return FrameWritten(content.read(length), _text(content), transfer_ns, late_ns)
 
 
-def _read_texts(rest: bytes, begin: int, count: int) -> list[str]:
-    texts = []
-    for _ in range(count):
-        end = begin + 1 + rest[begin]
-        texts.append(rest[begin + 1 : end].decode())
-        begin = end
-    return texts
+def _unpacked(head: struct.Struct, content: BytesIO) -> tuple[Any, ...]:
+    return head.unpack(content.read(head.size))
+
+
+def _byte(content: BytesIO) -> int:
+    return content.read(1)[0]
+
+
+def _text(content: BytesIO) -> str:
+    return content.read(_byte(content)).decode()
+
+
+def _outcomes(content: BytesIO) -> Outcomes:
+    return tuple((*_unpacked(form.OUTCOME_HEAD, content), _text(content)) for _ in range(_byte(content)))
 
 
 _READERS: Final[dict[int, Callable[[bytes], Content]]] = {

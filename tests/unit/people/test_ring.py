@@ -335,6 +335,7 @@ async def test_a_gateway_that_was_killed_is_an_incident_and_one_that_ended_is_no
     assert crash.name == "20260921-141320-123-crash"
     lines = story(list(messages(crash, content)))
     assert lines[-1].strip() == "0.000 s  the gateway's last record; its process ended without a word"
+    await asyncio.sleep(0.1)
     after = recorded(folder)
     assert [each.name for each in incidents(folder)[0]] == [crash.name], "the next gateway continues the ring"
     after.put(keys.ESTOP, {"source": "bert"})
