@@ -24,7 +24,7 @@ from gateway.people.commands.options import Reach
 from gateway.people.console.pages.page_messages import Message, link_message
 from gateway.people.console.pages.page_tasks import Stops
 from gateway.people.watching.confirmed_stop import REQUESTS_AT_ONCE
-from gateway.people.watching.live import Live, OnLoop, Receiver, set_upright
+from gateway.people.watching.live import Live, OnLoop, Receiver
 from gateway.people.watching.silence import CHECK_EVERY_S
 from schemas.ack import Ack
 from schemas.gateway_state import GatewayState
@@ -89,10 +89,6 @@ class GatewayLink(Receiver):
         """Send a command and return its Ack. `again` (Stops only): repeat it until answered. Raises GatewayError."""
         ask = partial(self.client().ask, key, payload, again=again)
         return await self._loop.run_in_executor(self._stops if again else None, ask)
-
-    async def set_upright(self) -> Ack:
-        """Set a robot simulated with physics upright, and return the Ack. Raises GatewayError."""
-        return await asyncio.to_thread(partial(set_upright, self.client()))
 
     async def estop(self, source: str) -> Ack:
         """Wait for the session, then request the emergency stop by any way that reaches the gateway. Raises ZenohError.

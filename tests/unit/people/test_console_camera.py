@@ -10,7 +10,7 @@ from typing import Final
 import pytest
 
 from gateway.errors import ConfigError
-from gateway.people.console.pages.page_camera import PageCamera
+from gateway.people.console.pages.page_walk import PageCamera
 from gateway.people.watching import camera
 from gateway.people.watching.camera import MAX_JPEG_BYTES, Ages, Camera, CameraError, cameras, stream_parts
 from tests.support.camera_server import BOUNDARY, CameraServer, begin, jpeg, part

@@ -17,8 +17,7 @@ from yarl import URL
 
 from gateway.errors import ConfigError
 from gateway.people.console.server.auth import NONCE_NS, Auth, proof
-from gateway.people.console.server.boot_clock import Now
-from gateway.people.console.server.sessions import LINK_S, SESSION_S, Entry, Sessions, kept
+from gateway.people.console.server.sessions import LINK_S, SESSION_S, Entry, Now, Sessions, kept
 from gateway.people.console.server.site import site
 
 HERE = "http://127.0.0.1:8080"
@@ -43,7 +42,7 @@ class Visitor:
         self._auth = Auth(self._site, sessions)
 
     def get(self, path: str, session: SignIn, **headers: str) -> web.Response | Entry:
-        cookie = f"{self._site.cookie}={session.cookie}"
+        cookie = f"{self._site.cookie_at(None)}={session.cookie}"
         return self.ask(URL(path), Cookie=cookie, **headers)
 
     def ask(self, url: URL, **headers: str) -> web.Response | Entry:

@@ -93,7 +93,7 @@ def test_two_consoles_behind_tunnels_have_cookies_of_their_own() -> None:
     assert {HERE.cookie_at("localhost:8081"), HERE.cookie_at("localhost:8082"), HERE.cookie_at(None)} == {
         f"hexapod-console-{port}" for port in (8080, 8081, 8082)
     }
-    assert HERE.cookie == HERE.cookie_at("127.0.0.1:8080")
+    assert HERE.cookie_at(None) == HERE.cookie_at("127.0.0.1:8080")
 
 
 @pytest.mark.parametrize("name", ["https://robot.example", "robot.example:8080", "robot.example/x", "", "a b"])

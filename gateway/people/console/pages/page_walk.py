@@ -1,7 +1,8 @@
-"""One page's walk: the page sends its wish 20 times a second, and a thread of its own walks by the newest one.
+"""One page's walk, and the camera by which somebody may drive it.
 
-The thread uses `gateway.client.Walk` over a session of its own, with the page's lease. The pages' loop only stores the
-wish and never waits for the thread, so no STOP ALL does either.
+The page sends its wish 20 times a second, and a thread of its own walks by the newest one. The thread uses
+`gateway.client.Walk` over a session of its own, with the page's lease. The pages' loop only stores the wish and never
+waits for the thread, so no STOP ALL does either.
 
 - Each wish is used once. When a page has sent none for `WISH_SILENT_S` (frozen, locked, without Wi-Fi, closed), the
   robot finishes its step and stands; after another `SIT_S` it sits down, and its servos are stopped.
@@ -25,11 +26,12 @@ from gateway.errors import GatewayError
 from gateway.people.client.lease import LentLease
 from gateway.people.client.walk import Walk
 from gateway.people.console.link import Shared
-from gateway.people.console.pages.page_camera import PageCamera
 from gateway.people.console.pages.page_messages import Message, WalkWish, walk_message
 from gateway.people.walking.motion import Velocity
 from gateway.people.walking.ride import Ride, Silences, Wish
 from gateway.people.walking.words import ground_now
+from gateway.people.watching.camera import Picture
+from gateway.rate_limit import NS_PER_MS, NS_PER_S
 
 WISH_SILENT_S: Final = 0.25
 """Five missing wishes in a row."""
@@ -42,6 +44,47 @@ WISH_WAIT_S: Final = 0.05
 REPORT_S: Final = 0.1
 
 _log: Final = logging.getLogger(__name__)
+
+
+class PageCamera:
+    """The camera that one page shows, and whether somebody may drive by it. `now_ns`: the console's monotonic clock.
+
+    The console decides by what it knows: a picture is shown once the page names it in its request for the next one. So
+    a page that hangs, or whose picture does not arrive, moves nothing.
+    """
+
+    def __init__(self, stale_ms: float) -> None:
+        """`stale_ms`: an older picture moves nothing; 0: any moves."""
+        self._stale_ns = stale_ms * NS_PER_MS
+        self._name: str | None = None
+        self._taken_ns: int | None = None
+        self.sent: Picture | None = None  # the newest one
+
+    def show(self, name: str | None) -> None:
+        """Record that the page shows this camera from now on; None: it shows none."""
+        if name != self._name:
+            self._name, self._taken_ns, self.sent = name, None, None
+
+    def confirm(self, name: str, number: str) -> None:
+        """Record that the page shows the picture of this number (`taken_ns`), if that was sent to it last."""
+        if name == self._name and self.sent is not None and number == str(self.sent.taken_ns):
+            self._taken_ns = self.sent.taken_ns
+
+    def left_s(self, now_ns: int) -> float:
+        """Return how long the picture may still be driven by; inf without a camera. For any thread."""
+        taken_ns = self._taken_ns
+        if self._name is None or not self._stale_ns:
+            return float("inf")
+        return 0.0 if taken_ns is None else max(0.0, (taken_ns + self._stale_ns - now_ns) / NS_PER_S)
+
+    def bars(self, now_ns: int) -> str:
+        """Return why nothing may be driven by the picture, without a full stop; "" if it may. For any thread."""
+        taken_ns = self._taken_ns
+        if self.left_s(now_ns):
+            return ""
+        if taken_ns is None:
+            return "no picture was shown yet; wait for one, or hide the camera"
+        return f"the picture was {(now_ns - taken_ns) / NS_PER_S:.1f} s old"
 
 
 class PageWalks:

@@ -28,14 +28,13 @@ from gateway.people.client.lease import RELEASE_S
 from gateway.people.console.link import Shared
 from gateway.people.console.pages import page_messages as messages
 from gateway.people.console.pages.page_calibration import PageCalibration
-from gateway.people.console.pages.page_camera import PageCamera
 from gateway.people.console.pages.page_lease import PageLease, StopButton
 from gateway.people.console.pages.page_tasks import EndError, Outgoing, PageTasks, Stops, now_ns
-from gateway.people.console.pages.page_walk import WISH_SILENT_S, PageWalks
+from gateway.people.console.pages.page_walk import WISH_SILENT_S, PageCamera, PageWalks
 from gateway.people.walking.words import robot_now
 from gateway.people.watching.confirmed_stop import Press
 from gateway.people.watching.dangers import PowerAlarm, power_now
-from gateway.people.watching.live import Receiver
+from gateway.people.watching.live import Receiver, set_upright
 from gateway.rate_limit import RateLimit
 from schemas import keys
 from schemas.ack import Ack
@@ -295,7 +294,7 @@ class Page:
                     token = self._lease.token if self._lease.mine else None
                     self._walks.take(message, token, self.camera)
             case messages.PlainRequest(type="upright"):
-                self._ask(message.id, self._link.set_upright)
+                self._ask(message.id, lambda: asyncio.to_thread(set_upright, self._link.client()))
             case messages.StopButtonRequest():
                 self._button.take(message)
             case messages.PlainRequest():

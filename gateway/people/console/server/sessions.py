@@ -9,18 +9,20 @@ out, and STOP ALL stays in reach. Only how long a reboot took is by the wall clo
 """
 
 import hashlib
+import os
 import secrets
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
-from typing import Final, Self
+from typing import Final, NamedTuple, Self
 
 from pydantic import BaseModel
 
 from gateway.errors import ConfigError
 from gateway.files import durable
 from gateway.people.console.pages.page_messages import Role, least
-from gateway.people.console.server.boot_clock import Now, clocks
 
 SESSION_S: Final = 12 * 3600
 LINK_S: Final = 600
@@ -28,6 +30,29 @@ LINK_S: Final = 600
 MAX_ENTRIES: Final = 256
 """Most sessions, and most links; beyond these the oldest are dropped."""
 MAX_SESSIONS_BYTES: Final = 1_000_000
+
+
+class Now(NamedTuple):
+    """The boot's id, the time since it, which nobody sets, and the wall clock."""
+
+    boot: str = ""
+    boot_s: float = 0.0
+    wall_s: float = 0.0
+
+
+def clocks() -> Now:
+    """Return the present times. Outside Linux no boot has an id, and the wall clock counts as the time since it."""
+    wall_s = time.time()
+    has_boots = _boot() and hasattr(time, "CLOCK_BOOTTIME")
+    return Now(_boot(), time.clock_gettime(time.CLOCK_BOOTTIME) if has_boots else wall_s, wall_s)
+
+
+@cache
+def _boot() -> str:
+    """Return the boot's id, read once: later a flood may have taken the last descriptor. The unit passes it on."""
+    with suppress(OSError):
+        return Path("/proc/sys/kernel/random/boot_id").read_text().strip().replace("-", "")
+    return os.environ.get("BOOT_ID", "")
 
 
 class Entry(BaseModel, frozen=True):

@@ -64,11 +64,6 @@ class Site:
         """Its address in a browser, without a path: `http://127.0.0.1:8080`."""
         return f"{self.scheme}://{with_port(self.hosts[0], self.port)}"
 
-    @property
-    def cookie(self) -> str:
-        """The session cookie's name at the console's own port."""
-        return self.cookie_at(None)
-
     def cookie_at(self, host: str | None) -> str:
         """Return the session cookie's name, with the browser's port: browsers send a cookie to all ports of a host."""
         only = "__Host-" if self.tls else ""  # no other host can set it
