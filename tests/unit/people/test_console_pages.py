@@ -10,23 +10,14 @@ from typing import Any, cast
 
 import pytest
 
-from gateway import geometry
 from gateway.errors import DisconnectedError
-from gateway.people.client.blocking import Client
-from gateway.people.console.pages.page_lease import PageLease
-from gateway.people.console.pages.page_messages import DriveRequest, Message, ack_message, event_message, link_message
+from gateway.people.console.pages.page_messages import Message, ack_message, event_message, link_message
 from gateway.people.console.pages.page_tasks import KEPT_MESSAGES, EndError, Outgoing, PageTasks, Stops, send_stopping
 from gateway.people.console.pages.pages import Page, Pages
-from gateway.people.walking.engine import Engine
-from gateway.people.walking.planning import lying_deg
-from gateway.people.walking.robot import Robot
-from gateway.people.walking.transitions import ON_GROUND_M
 from gateway.people.watching.confirmed_stop import AGAIN_NS
 from schemas.ack import Ack
 from schemas.config import WireReport
 from schemas.event import Event
-from schemas.lease import LeaseAck
-from schemas.robot import LEGS
 from schemas.telemetry import Telemetry
 from tests.support.published import WALL, state
 
@@ -102,21 +93,6 @@ async def test_a_page_has_so_many_tasks_and_its_end_one_more(in_turn: bool, bega
     tasks.check()
 
 
-def test_a_page_with_the_lease_does_not_learn_its_token() -> None:
-    token, sent = "0123456789abcdef" * 2, list[Message]()
-    requests = SimpleNamespace(as_person=lambda *_: LeaseAck(accepted=True, lease=token, nonce=token, ttl_ms=250))
-    lease = PageLease(lambda: cast("Client", SimpleNamespace(requests=requests)), "a page", sent.append)
-
-    async def acquire() -> None:
-        lease.ask(DriveRequest(type="lease", id=1, do="acquire"))
-        await lease.tasks.ended(60)
-
-    asyncio.run(acquire())
-    assert (lease.token, lease.mine) == (token, True)
-    assert sent[0]["mine"]
-    assert token not in str(sent)
-
-
 # ---- of a robot that measures
 
 
@@ -181,15 +157,6 @@ async def test_a_state_tells_a_page_whether_only_the_whole_robot_starts(*, whole
     pages.received_state(report, 0)
     messages: list[dict[str, Any]] = [json.loads(text) for text in await outgoing.wait()]
     assert [each["whole"] for each in messages if each["type"] == "state"] == [whole]
-
-
-def test_a_page_knows_the_pose_from_which_a_walk_begins() -> None:
-    robot = geometry.load()
-    lying = lying_deg(Robot(robot))
-    pose = {leg: (lying[10 * leg + 1], lying[10 * leg + 2], lying[10 * leg + 3]) for leg in LEGS}
-    engine = Engine(Robot(robot), angles_deg=pose)
-    assert engine.state.body.height_m < engine.robot.lying_m + ON_GROUND_M
-    assert all(engine.robot.foot_m(leg, pose[leg])[2] > -engine.robot.lying_m for leg in LEGS), "no foot pushes"
 
 
 # ---- STOP ALL: confirmed by an answer to a request that began after the press

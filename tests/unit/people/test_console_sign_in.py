@@ -42,8 +42,7 @@ class Visitor:
         self._auth = Auth(self._site, sessions)
 
     def get(self, path: str, session: SignIn, **headers: str) -> web.Response | Entry:
-        cookie = f"{self._site.cookie_at(None)}={session.cookie}"
-        return self.ask(URL(path), Cookie=cookie, **headers)
+        return self.ask(URL(path), **{"Cookie": f"{self._site.cookie_at(None)}={session.cookie}", **headers})
 
     def ask(self, url: URL, **headers: str) -> web.Response | Entry:
         return asyncio.run(self._auth.answer(url, CIMultiDict({"Host": "127.0.0.1:8080", **headers})))
@@ -110,6 +109,27 @@ def test_foreign_origins(visitor: Visitor, sessions: Sessions, origin: str) -> N
     assert visitor.status(f"/ws?{made}", session) == 403, "a browser states a WebSocket's origin"
     assert visitor.status("/", session) == visitor.status("/", session, Origin=HERE) == 200
     assert visitor.comes_in(session, made), "the nonce is not used up"
+
+
+@pytest.mark.parametrize("host", ["evil.example", "evil.example:8080", "127.0.0.1.evil.example:8080", "127.0.0.1", ""])
+def test_a_foreign_name_that_points_here_gets_nothing(visitor: Visitor, sessions: Sessions, host: str) -> None:
+    """DNS rebinding: not even with the cookie, or a link."""
+    session, link = new_session(sessions), sessions.new_link().removeprefix(HERE)
+    assert visitor.status("/", session, Host=host) == visitor.status(link, session, Host=host) == 403
+    assert visitor.status(link, session) == 303
+
+
+def test_a_tunnel_at_another_port_needs_its_own_sign_in(visitor: Visitor, sessions: Sessions) -> None:
+    session, tunnel = new_session(sessions), "127.0.0.1:8081"
+    assert visitor.status("/", session, Host=tunnel) == 403, "the cookie is of another port"
+    entered = visitor.get(sessions.new_link().removeprefix(HERE), session, Host=tunnel)
+    assert isinstance(entered, web.Response)
+    ((name, made),) = entered.cookies.items()
+    assert name == "hexapod-console-8081"
+    there = {"Host": tunnel, "Cookie": f"{name}={made.value}"}
+    assert visitor.status("/", session, **there) == 200
+    for origin in (HERE, "http://localhost:8081", "null"):
+        assert visitor.status("/", session, **there, Origin=origin) == 403
 
 
 def test_what_is_no_proof_lets_nobody_in(visitor: Visitor, sessions: Sessions) -> None:

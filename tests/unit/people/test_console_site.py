@@ -89,13 +89,6 @@ def test_a_tunnel_comes_from_loopback_at_any_port_and_a_proxy_by_an_admitted_nam
         assert not where.is_own(other, host)
 
 
-def test_two_consoles_behind_tunnels_have_cookies_of_their_own() -> None:
-    assert {HERE.cookie_at("localhost:8081"), HERE.cookie_at("localhost:8082"), HERE.cookie_at(None)} == {
-        f"hexapod-console-{port}" for port in (8080, 8081, 8082)
-    }
-    assert HERE.cookie_at(None) == HERE.cookie_at("127.0.0.1:8080")
-
-
 @pytest.mark.parametrize("name", ["https://robot.example", "robot.example:8080", "robot.example/x", "", "a b"])
 def test_what_is_no_name_is_not_admitted(name: str) -> None:
     with pytest.raises(ConfigError, match="is no name of a host"):
@@ -170,14 +163,6 @@ def server(stack: ExitStack) -> socket.socket:
     return stack.enter_context(socket.create_server(("127.0.0.1", 0)))
 
 
-def taken(passed: socket.socket, number: str = "1", pid: str = PID) -> list[socket.socket]:
-    """Return what is inherited if systemd has moved the first socket to this number."""
-    found = inherited({"LISTEN_PID": pid, "LISTEN_FDS": number}, first=passed.fileno())
-    if found:
-        passed.detach()  # which is whose from now on
-    return found
-
-
 def test_a_socket_is_taken_and_no_child_gets_it_or_its_name(stack: ExitStack) -> None:
     passed = server(stack)
     address, number = passed.getsockname(), passed.fileno()
@@ -196,8 +181,7 @@ def test_a_socket_is_taken_and_no_child_gets_it_or_its_name(stack: ExitStack) ->
 
 @pytest.mark.parametrize("pid", ["", "1", PID + "0", "all"], ids=["none", "init", "another", "no number"])
 def test_without_sockets_of_its_own_it_binds_by_itself(stack: ExitStack, pid: str) -> None:
-    passed = server(stack)
-    assert taken(passed, pid=pid) == []
+    assert inherited({"LISTEN_PID": pid, "LISTEN_FDS": "1"}, first=server(stack).fileno()) == []
     assert inherited({}) == []
     with listening(site(f"127.0.0.1:{free_port()}", None, None)) as used:
         assert [each.getsockname()[0] for each in used] == ["127.0.0.1"]
@@ -219,7 +203,7 @@ def test_another_kind_of_socket_is_rejected(
         passed.bind("")
         passed.listen()
     with pytest.raises(ConfigError, match="is no TCP socket that listens"):
-        taken(passed)
+        inherited({"LISTEN_PID": PID, "LISTEN_FDS": "1"}, first=passed.fileno())
 
 
 def test_a_descriptor_that_is_no_socket_is_rejected() -> None:

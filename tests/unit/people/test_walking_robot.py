@@ -45,6 +45,7 @@ def test_a_lying_robot_starts_with_its_feet_two_centimetres_up() -> None:
     assert lying_deg(ROBOT) == {
         10 * leg + joint: deg for leg in LEGS for joint, deg in enumerate(left if leg % 2 else right, start=1)
     }
+    assert Planner(ROBOT).found({leg: left if leg % 2 else right for leg in LEGS}).body == BodyPose(ROBOT.lying_m)
 
 
 @pytest.mark.parametrize("height_m", [0.06, 0.154, 0.28, 0.3])
