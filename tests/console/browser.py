@@ -10,7 +10,8 @@ from typing import Any, ClassVar, Final
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, BrowserContext, CDPSession, ConsoleMessage, Locator, Page, expect
 
-from tests.support.console_process import SignedIn
+from tests.support.console_process import Console, SignedIn
+from tests.support.cut_link import CutLink
 from tests.support.gateway_process import Gateway
 from tests.support.waiting import Closing
 
@@ -73,6 +74,7 @@ WebSocket.prototype.send = function (text) {
 };
 """
 """Keeps the page's wishes for the walk, or keeps them back."""
+MOVES: Final = "(each) => each.forward_m_s || each.left_m_s || each.turn_rad_s"
 PUSHES: Final = 100
 """In so many it is seconds that pass, where each is rejected at once: until the newest state is fresh again."""
 LET_GO: Final = """!document.querySelector('.stick[data-held="yes"]')"""
@@ -183,6 +185,12 @@ class Visitor(Closing):
             assert not self.faults, self.faults
 
 
+def behind(link: CutLink, browser: Browser, console: Console, gateway: Gateway | None = None) -> Visitor:
+    """Return a visitor whose pages reach the console through this link."""
+    url = link.endpoint.replace("tcp/", "http://")
+    return Visitor(browser, url, console.sign_in(console.new_link().replace(console.url, url)), gateway)
+
+
 class Opened:
     """One open page."""
 
@@ -269,6 +277,24 @@ class Opened:
         other = self.context.new_page()
         self.context.new_cdp_session(other).send("Emulation.setFocusEmulationEnabled", {"enabled": False})
         other.bring_to_front()
+
+
+def push(page: Opened) -> None:
+    """Push the pad ahead, and a little to the right."""
+    page.page.mouse.up()
+    box = page["pad"].bounding_box()
+    assert box is not None
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.page.mouse.move(x, y)
+    page.page.mouse.down()
+    page.page.mouse.move(x + 0.05 * box["width"], y - 0.4 * box["height"])
+
+
+def expect_still(page: Opened) -> None:
+    """Check that no wish of a second moves."""
+    page.page.evaluate("window.wishes = []")
+    page.page.wait_for_function("() => window.wishes.length > 20")
+    assert not page.page.evaluate(f"window.wishes.some({MOVES})")
 
 
 def again(page: Opened, act: Callable[[], None], came: str, ended: str) -> None:

@@ -7,9 +7,8 @@ from typing import Final
 import pytest
 from playwright.sync_api import expect
 
-from tests.console.browser import LET_GO, Visitor, again, walks
+from tests.console.browser import LET_GO, Visitor, again, push, walks
 from tests.console.test_still_page import SIZES, overlap_nowhere
-from tests.console.test_walk import push
 from tests.support.camera_server import CameraServer
 from tests.support.console_process import Console
 from tests.support.fixtures import camera_fixture, gateway_fixture, patient, session_fixture

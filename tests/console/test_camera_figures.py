@@ -4,6 +4,7 @@ The clock is sixteen bars at the picture's top edge: the wall's milliseconds in 
 """
 
 import os
+import shlex
 import signal
 import statistics
 import subprocess
@@ -18,8 +19,7 @@ from playwright.sync_api import Browser, expect
 
 from gateway.model.frames import decode
 from schemas.event import FrameRecord
-from tests.console.browser import LET_GO, Visitor, walks
-from tests.console.test_walk import push
+from tests.console.browser import CHANGES, LET_GO, Visitor, behind, push, walks
 from tests.support import camera_server
 from tests.support.camera_server import CameraServer
 from tests.support.console_process import Console
@@ -50,15 +50,10 @@ addEventListener("DOMContentLoaded", () => new MutationObserver(() => {
 }).observe(document.getElementById("camera-age"), { childList: true, characterData: true, subtree: true }));
 """
 """Keeps the age that is shown, and that by the clock, whenever the page shows another one."""
-HEARS: Final = """
-const listen = WebSocket.prototype.addEventListener;
-WebSocket.prototype.addEventListener = function (name, heard, ...more) {
-  listen.call(this, name, name !== "message" ? heard : (event) => {
-    const message = JSON.parse(event.data);
-    if (message.type === "stop" && message.answered) window.answeredMs ??= performance.now();
-    heard(event);
-  }, ...more);
-};
+HEARS: Final = f"""{CHANGES}
+window.change = (message) => {{
+  if (message.type === "stop" && message.answered) window.answeredMs ??= performance.now();
+}};
 """
 
 
@@ -113,9 +108,7 @@ def test_the_age_that_is_shown_is_that_of_the_clock_in_the_picture(browser: Brow
     for name, link in LINKS.items():
         with ExitStack() as stack:
             slow = stack.enter_context(CutLink(f"tcp/127.0.0.1:{console.port}", **link))
-            url = slow.endpoint.replace("tcp/", "http://")
-            signed_in = console.sign_in(console.new_link().replace(console.url, url))
-            page = stack.enter_context(Visitor(browser, url, signed_in)).open(script=CLOCK)
+            page = stack.enter_context(behind(slow, browser, console)).open(script=CLOCK)
             page.page.wait_for_function(FRESH)
             page.page.wait_for_function("() => window.seen.length >= 150")
             seen: list[list[float]] = page.page.evaluate("window.seen")[50:]
@@ -176,21 +169,9 @@ def test_stop_all_beside_a_picture(
     browser: Browser, gateway: Gateway, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """8 Mbit/s of a picture that exists: ffmpeg would take a processor beside the page, only while a page shows it."""
-    picture = [
-        "ffmpeg",
-        "-v",
-        "fatal",
-        "-f",
-        "lavfi",
-        "-i",
-        "testsrc2=size=640x480",
-        "-frames:v",
-        "1",
-        "-f",
-        "mjpeg",
-        "-",
-    ]
-    monkeypatch.setattr(camera_server, "_PLAIN", subprocess.run(picture, capture_output=True, check=True).stdout)
+    command = shlex.split("ffmpeg -v fatal -f lavfi -i testsrc2=size=640x480 -frames:v 1 -f mjpeg -")
+    picture = subprocess.run(command, capture_output=True, check=True).stdout
+    monkeypatch.setattr(camera_server, "_PLAIN", picture)
     monkeypatch.setattr(camera_server, "PERIOD_S", 1 / 25)
     with ExitStack() as stack:
         camera = stack.enter_context(CameraServer(size=40_000 - len(picture)))

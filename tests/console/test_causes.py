@@ -1,7 +1,6 @@
 """The page tells the true cause, in its viewer's words, and what cannot work looks so; and who drives."""
 
 import re
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Final
 
@@ -10,7 +9,7 @@ from playwright.sync_api import Browser, expect
 
 from gateway.client import Client
 from schemas.robot import LEGS
-from tests.console.browser import PHONE, Opened, Visitor
+from tests.console.browser import PHONE, Opened, Visitor, behind
 from tests.support.console_process import Console
 from tests.support.cut_link import CutLink
 from tests.support.fixtures import patient
@@ -91,12 +90,8 @@ def test_who_moves_the_legs_without_the_lease_is_named(visitor: Visitor, gateway
 def test_each_cause_has_words_and_none_sends_a_phone_to_a_terminal(
     browser: Browser, console: Console, gateway: Gateway
 ) -> None:
-    with ExitStack() as stack:
-        tunnel = stack.enter_context(CutLink(f"tcp/127.0.0.1:{console.port}"))
-        url = tunnel.endpoint.replace("tcp/", "http://")
-        signed_in = console.sign_in(console.new_link().replace(console.url, url))
-        page = stack.enter_context(Visitor(browser, url, signed_in, gateway)).open()
-        expect_words_of_each_cause(page, console)
+    with CutLink(f"tcp/127.0.0.1:{console.port}") as tunnel, behind(tunnel, browser, console, gateway) as visitor:
+        expect_words_of_each_cause(visitor.open(), console)
 
 
 def expect_words_of_each_cause(page: Opened, console: Console) -> None:

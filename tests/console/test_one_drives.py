@@ -8,7 +8,7 @@ import pytest
 from playwright.sync_api import expect
 
 from gateway.client import Client
-from tests.console.browser import GAMEPAD, WISHES, Opened, Visitor
+from tests.console.browser import GAMEPAD, MOVES, WISHES, Opened, Visitor, expect_still, push
 from tests.support.heard import servos_on, states
 
 pytestmark = pytest.mark.browser
@@ -21,7 +21,6 @@ navigator.getGamepads = () => {{
 }};
 """
 """Each of the three reports all the time."""
-MOVES: Final = "(each) => each.forward_m_s || each.left_m_s || each.turn_rad_s"
 SHORT_MS: Final = 20
 PRESSES: Final = 200
 
@@ -30,14 +29,6 @@ def evaluate(page: Opened, script: str) -> None:
     """Evaluate a script, and let the page poll its gamepads a few times."""
     page.page.evaluate(f"() => {{ {script}; window.looks = 0; }}")
     page.page.wait_for_function("() => window.looks > 3")
-
-
-def push_thumb(page: Opened) -> None:
-    box = page["pad"].bounding_box()
-    assert box is not None
-    page.page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
-    page.page.mouse.down()
-    page.page.mouse.move(box["x"] + box["width"] / 2, box["y"] + 0.1 * box["height"])
 
 
 def push_stick(number: int) -> Callable[[Opened], None]:
@@ -55,7 +46,7 @@ class Control(NamedTuple):
     let_go: Callable[[Opened], None]
 
 
-THUMB: Final = Control(push_thumb, lambda page: page.page.mouse.up())
+THUMB: Final = Control(push, lambda page: page.page.mouse.up())
 KEY: Final = Control(lambda page: page.page.keyboard.down("w"), lambda page: page.page.keyboard.up("w"))
 FIRST: Final = Control(push_stick(0), lambda page: evaluate(page, "window.pads[0].axes[1] = 0"))
 UNPLUGGED: Final = Control(push_stick(0), lambda page: evaluate(page, "window.pads[0] = null"))
@@ -66,12 +57,6 @@ def press_of_a_move(page: Opened) -> int:
     page.page.evaluate("window.wishes = []")
     page.page.wait_for_function(f"() => window.wishes.some({MOVES})")
     return int(page.page.evaluate(f"window.wishes.find({MOVES}).press"))
-
-
-def expect_still(page: Opened) -> None:
-    page.page.evaluate("window.wishes = []")
-    page.page.wait_for_function("() => window.wishes.length > 20")
-    assert not page.page.evaluate(f"window.wishes.some({MOVES})")
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from playwright.sync_api import Browser
 
 from gateway.model.frames import OneLeg, decode
 from schemas.event import FrameRecord
-from tests.console.browser import Opened, Visitor, walks
+from tests.console.browser import Opened, Visitor, behind, walks
 from tests.support.child import frozen
 from tests.support.console_process import Console
 from tests.support.cut_link import CutLink
@@ -143,9 +143,10 @@ def test_what_the_page_says_is_known_and_true(browser: Browser, tmp_path: Path, 
         to_gateway = stack.enter_context(CutLink(gateway.endpoint))
         console = stack.enter_context(Console(tmp_path, "--connect", to_gateway.endpoint))
         to_page = stack.enter_context(CutLink(f"tcp/127.0.0.1:{console.port}"))
-        url = console.url if what == "the console dies" else to_page.endpoint.replace("tcp/", "http://")
-        signed_in = console.sign_in(console.new_link().replace(console.url, url))
-        visitor = stack.enter_context(Visitor(browser, url, signed_in))
+        dies = what == "the console dies"
+        visitor = stack.enter_context(
+            Visitor(browser, console.url, console.sign_in()) if dies else behind(to_page, browser, console)
+        )
         before = visitor.renderers()
         page = visitor.open(script=NOTES)
         broken = Broken(
@@ -162,7 +163,7 @@ def test_what_the_page_says_is_known_and_true(browser: Browser, tmp_path: Path, 
             else:
                 page.page.wait_for_function(f"() => Date.now() > {began_ms + GONE_MS}")
             ended_ms = time.time() * 1000
-        if what != "the console dies":
+        if not dies:
             page.expect_live()
         last = page.page.evaluate("window.notes.length")
         page.page.wait_for_function(f"() => window.notes.length > {last + 5}")

@@ -10,7 +10,7 @@ import pytest
 from playwright.sync_api import expect
 
 from gateway.client import Client
-from tests.console.browser import GAMEPAD, WISHES, Opened, Visitor, walks
+from tests.console.browser import GAMEPAD, WISHES, Opened, Visitor, expect_still, push, walks
 from tests.support.child import frozen
 from tests.support.fixtures import console_fixture, gateway_fixture, patient, session_fixture
 from tests.support.heard import states
@@ -42,16 +42,6 @@ const look = () => {
 requestAnimationFrame(look);
 """
 """Keeps what the band next to STOP ALL shows with each frame, from the first one."""
-
-
-def push(page: Opened) -> None:
-    page.page.mouse.up()
-    box = page["pad"].bounding_box()
-    assert box is not None
-    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-    page.page.mouse.move(x, y)
-    page.page.mouse.down()
-    page.page.mouse.move(x + 0.05 * box["width"], y - 0.4 * box["height"])
 
 
 def sit(page: Opened) -> None:
@@ -112,12 +102,6 @@ def push_stick(page: Opened) -> None:
         page.page.wait_for_function("() => window.looks > 2")
 
 
-def expect_no_walk_by_a_held_stick(page: Opened) -> None:
-    page.page.evaluate("window.wishes = []")
-    page.page.wait_for_function("() => window.wishes.length > 20")
-    assert not page.page.evaluate("window.wishes.some((wish) => wish.forward_m_s)")
-
-
 @pytest.mark.nightly
 def test_a_stick_that_no_longer_counts_moves_nothing_until_it_was_in_the_middle(visitor: Visitor) -> None:
     page = visitor.open(script=GAMEPAD + WISHES)
@@ -126,7 +110,7 @@ def test_a_stick_that_no_longer_counts_moves_nothing_until_it_was_in_the_middle(
     page.page.evaluate("window.muted = true")
     expect(page.said).to_have_text("It stands still: the console received nothing of this page for a moment.")
     page.page.evaluate("window.muted = false")
-    expect_no_walk_by_a_held_stick(page)
+    expect_still(page)
     walks(page, push_stick)
     expect(page.said).to_contain_text("It stands still: a stick was pushed for 10 s", timeout=12_000)
     page.page.evaluate("pad.buttons[4].pressed = true")
@@ -145,7 +129,7 @@ def test_a_gamepad_out_of_reach_counts_as_let_go_and_each_ones_b_button_is_stop_
     expect(page.said).to_have_text("It stands still: the gamepad sent nothing for 0.5 s.", timeout=3000)
     expect(page["walk-known"]).to_contain_text("It stands")
     page.page.evaluate("window.frozen = false")
-    expect_no_walk_by_a_held_stick(page)
+    expect_still(page)
     walks(page, push_stick)
     for pad in (2, 0):  # the one before is out of reach by then: its button seems to be held
         page.page.evaluate(f"pads[{pad}].buttons[1].pressed = true")
@@ -168,7 +152,7 @@ def test_a_gamepad_that_reports_changes_only_holds_a_stick_at_its_end_with_a_sho
     if not shoulder:
         remedy = "to hold a stick at its end, hold a shoulder button too"
         expect(page.said).to_have_text(f"It stands still: the gamepad sent nothing for 0.5 s; {remedy}.")
-        expect_no_walk_by_a_held_stick(page)
+        expect_still(page)
         return
     page.page.evaluate("window.wishes = []")
     page.page.wait_for_function("() => window.wishes.length > 60")  # six times as long
