@@ -5,7 +5,7 @@ What viewers draw is in it where the extra `record` is installed.
 
 import json
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
@@ -25,14 +25,11 @@ from gateway.people.ros2.messages import Message
 def new_file(path: Path) -> Iterator[BinaryIO]:
     """Open a file that does not exist yet, and remove it if the `with` fails. Raises ConfigError."""
     try:
-        with path.open("xb") as file:
-            try:
-                yield file
-                file.flush()
-            except BaseException:  # half of it is of no use, and its name would be taken
-                with suppress(OSError):
-                    path.unlink()
-                raise
+        with path.open("xb") as file, ExitStack() as failed:
+            failed.callback(path.unlink, missing_ok=True)  # half of it is of no use, and its name would be taken
+            yield file
+            file.flush()
+            failed.pop_all()
     except FileExistsError as error:
         raise ConfigError(f"{path} exists; name another file") from error
     except OSError as error:

@@ -8,7 +8,6 @@ concerns the servo itself, so it is kept as its angle on the wire; only the draf
 """
 
 import asyncio
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -59,7 +58,7 @@ class Guide:
         """
         if servo_id not in SERVO_IDS:
             raise CalibrationError(f"servo {servo_id} does not exist; an id is the leg and the joint, such as 32")
-        self._move_to(servo_id, self.draft[servo_id].wire_cdeg(_cdeg(shown_deg)))
+        self._move_to(servo_id, self.draft[servo_id].wire_cdeg(centidegrees(shown_deg)))
 
     def jog(self, by_cdeg: int) -> None:
         """Move by this angle by the draft, or past the angles that are never sent.
@@ -93,7 +92,7 @@ class Guide:
         servo_id, servo = self._under_test()
         match how:
             case "stands_at":  # the trim, by its angle now as measured on the robot
-                untrimmed_cdeg = servo._replace(trim_cdeg=0).wire_cdeg(_cdeg(seen_deg))
+                untrimmed_cdeg = servo._replace(trim_cdeg=0).wire_cdeg(centidegrees(seen_deg))
                 wanted = servo._replace(trim_cdeg=self.wire_cdeg - untrimmed_cdeg)
             case "wrong_way":  # its middle and its two limits stay where they are on the robot
                 low_cdeg, high_cdeg = MAX_ANGLE_CDEG - servo.max_cdeg, MAX_ANGLE_CDEG - servo.min_cdeg
@@ -156,13 +155,6 @@ class Guide:
         if why_not is not None:
             raise CalibrationError(why_not)
         self.servo_id, self.wire_cdeg = servo_id, wire_cdeg
-
-
-def _cdeg(angle_deg: float) -> int:
-    """Return the nearest hundredth of a degree. Raises CalibrationError beyond 360 degrees."""
-    if not math.isfinite(angle_deg) or abs(angle_deg) > 360:
-        raise CalibrationError(f"{angle_deg:g} is no angle of a servo: that is 0 to 180 degrees")
-    return centidegrees(angle_deg)
 
 
 MAX_STEPS: Final = 32
