@@ -12,9 +12,8 @@ from gateway.errors import ConfigError, GatewayError
 from gateway.model.black_box import RING_FILE
 from gateway.onboard.replay import as_test, change_of, journal_of, play, seconds, supervisor_of, told
 from gateway.people.incidents import ring_reader
-from gateway.people.incidents.export import new_file, write
 from gateway.people.incidents.find import Incident, find, time_of
-from gateway.people.incidents.messages import messages
+from gateway.people.incidents.messages import messages, new_file, write_file
 from gateway.people.incidents.ring_reader import Records
 from gateway.people.incidents.story import headline, story
 from gateway.people.terminal import hint, say
@@ -64,7 +63,7 @@ def export(settings: Settings, name: str, file: Path) -> None:
     """
     with _forged(settings):
         incident, records = _one(settings, name)
-        write(file, incident, records)
+        write_file(file, incident, records)
     say(f"{incident.name} is in {file}")
 
 

@@ -1,20 +1,33 @@
-"""An incident's records as messages of a recording: on the channels of our keys, in the time that people read."""
+"""An incident's records as messages of a recording: on the channels of our keys, in the time that people read.
 
+They can be written as an MCAP file, which the same tools read as a recording. A robot needs no extra for it; what
+viewers draw is in it where the extra `record` is installed.
+"""
+
+import json
 from array import array
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 from heapq import merge
 from operator import attrgetter
-from typing import Annotated, Any, Final, NamedTuple
+from pathlib import Path
+from typing import Annotated, Any, BinaryIO, Final, NamedTuple
 
+from mcap.writer import Writer
 from pydantic import AwareDatetime, Field
 
+from gateway import __version__
+from gateway.errors import ConfigError
+from gateway.geometry import load
 from gateway.model import black_box as form
 from gateway.model.elkapod import Measured
 from gateway.model.frames import Op
 from gateway.model.telemetry import report_of
 from gateway.people.incidents import ring_reader as rec
 from gateway.people.incidents.find import Incident, killed
+from gateway.people.recorder.drawing import INSTALLED, Drawing, definition, encode
+from gateway.people.ros2.messages import Message
 from schemas import keys
 from schemas.calibration import Calibration
 from schemas.event import Event, FrameRecord
@@ -197,3 +210,53 @@ def _outcome(number: int, decided: rec.Record | None) -> tuple[str | None, int |
 
 def _time(wall_ns: int) -> datetime:
     return datetime.fromtimestamp(wall_ns / 1e9, UTC)
+
+
+# ---- as a file
+
+
+@contextmanager
+def new_file(path: Path) -> Iterator[BinaryIO]:
+    """Open a file that does not exist yet, and remove it if the `with` fails. Raises ConfigError."""
+    try:
+        with path.open("xb") as file, ExitStack() as failed:
+            failed.callback(path.unlink, missing_ok=True)  # half of it is of no use, and its name would be taken
+            yield file
+            file.flush()
+            failed.pop_all()
+    except FileExistsError as error:
+        raise ConfigError(f"{path} exists; name another file") from error
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written ({error.strerror})") from error
+
+
+def write_file(path: Path, incident: Incident, records: rec.Records) -> None:
+    """Write an incident to a new file. Raises ConfigError if it exists or cannot be written."""
+    with new_file(path) as file:
+        _write(file, incident, records)
+
+
+def _write(file: BinaryIO, incident: Incident, records: rec.Records) -> None:
+    writer = Writer(file)
+    writer.start(profile="ros2", library=f"hexapod-gateway {__version__}")
+    channels: dict[str, int] = {}
+
+    def add(topic: str, data: bytes, time_ns: int, kind: type[Message] | None = None) -> None:
+        if topic not in channels:
+            # JSON has no schema here: rosbags 0.11 opens no file that has one.
+            schema = writer.register_schema(kind.TYPE, "ros2msg", definition(kind).encode()) if kind else 0
+            channels[topic] = writer.register_channel(topic, "cdr" if kind else "json", schema)
+        writer.add_message(channels[topic], time_ns, data, time_ns)
+
+    def draw(drawn: Iterable[tuple[str, Message]], time_ns: int) -> None:
+        for topic, message in drawn if INSTALLED else ():
+            add(topic, encode(message), time_ns, type(message))
+
+    if about := records.about_at(incident.zero_ns):
+        writer.add_metadata("hexapod-gateway", {name: json.dumps(value) for name, value in about.items()})
+    drawing, begin_ns = Drawing(load()), incident.wall_ns(incident.begin_ns)
+    draw((drawing.description(), *drawing.picture(begin_ns)), begin_ns)
+    for message in messages(incident, records):
+        add(message.topic, json.dumps(message.content, ensure_ascii=False).encode(), message.time_ns)
+        draw(drawing.take(message.topic, message.content, message.time_ns), message.time_ns)
+    writer.finish()

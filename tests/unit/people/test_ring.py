@@ -16,10 +16,9 @@ from gateway.model import black_box as form
 from gateway.model.black_box import INCIDENT_NAMES, MISTAKE, RING_FILE
 from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.model.frames import STOP, Op, ServoOp, stop_leg
-from gateway.people.incidents import export
 from gateway.people.incidents import ring_reader as rec
 from gateway.people.incidents.find import CRASH, Incident, find
-from gateway.people.incidents.messages import messages
+from gateway.people.incidents.messages import messages, write_file
 from gateway.people.incidents.ring_reader import NoRingError
 from gateway.people.incidents.story import WORDS, frames_in, headline, story
 from gateway.people.recorder.drawing import JOINT_STATES
@@ -206,7 +205,7 @@ def incidents(folder: Path) -> tuple[list[Incident], rec.Records]:
 
 def exported(folder: Path, incident: Incident, content: rec.Records) -> Path:
     path = folder / f"{incident.name}.mcap"
-    export.write(path, incident, content)
+    write_file(path, incident, content)
     return path
 
 
