@@ -48,9 +48,9 @@ class Console(Closing):
         self.child = Child([*prefix, *COMMAND, "console", *self.listen, *arguments], self.env)
         self.url = self.child.wait_for_output(LINK).removeprefix(LINK).strip()
 
-    def new_link(self, card: str = "") -> str:
+    def new_link(self) -> str:
         """Return a new link, as `--link` prints it."""
-        return Sessions(self._folder, self.port).new_link(card)
+        return Sessions(self._folder, self.port).new_link()
 
     def sign_in(self, link: str = "") -> "SignedIn":
         return sign_in(link or self.new_link())
@@ -94,12 +94,12 @@ class SignedIn(NamedTuple):
 NOBODY: Final = SignedIn("", "")
 
 
-def opened(url: str, session: SignedIn, verify: ssl.SSLContext | None = None, path: str = "ws?") -> ClientConnection:
+def opened(url: str, session: SignedIn, verify: ssl.SSLContext | None = None) -> ClientConnection:
     """Open a page's WebSocket. Dial again, as a page does, if a busy machine took longer than the console's 5 s."""
 
     def dial() -> ClientConnection:
         return connect(
-            f"{url.replace('http', 'ws', 1)}/{path}{session.shown(url, verify)}",
+            f"{url.replace('http', 'ws', 1)}/ws?{session.shown(url, verify)}",
             additional_headers={"Cookie": session.cookie, "Origin": url},
             ssl=verify,
             compression=None,
@@ -165,21 +165,21 @@ class Page(Closing):
     def state(self, fits: Callable[[dict[str, Any]], bool] = lambda _: True) -> dict[str, Any]:
         return dict(self.wait("state", lambda message: fits(message["state"]))["state"])
 
-    def event(self, *kinds: str, since: datetime) -> dict[str, Any]:
-        """Return the next event of one of these kinds that happened since then; a page begins with older ones."""
+    def event(self, kind: str, *, since: datetime) -> dict[str, Any]:
+        """Return the next event of this kind that happened since then; a page begins with older ones."""
 
         def fits(message: dict[str, Any]) -> bool:
             event = message["event"]
-            return event["kind"] in kinds and datetime.fromisoformat(event["time"]) >= since
+            return event["kind"] == kind and datetime.fromisoformat(event["time"]) >= since
 
         return dict(self.wait("event", fits)["event"])
 
-    def ask(self, key: str, payload: Mapping[str, Any], **more: Any) -> dict[str, Any]:
+    def ask(self, key: str, payload: Mapping[str, Any]) -> dict[str, Any]:
         """Ask for a command. Return the whole answer."""
-        return self._ask(type="command", key=key, payload=payload, **more)
+        return self._ask(type="command", key=key, payload=payload)
 
-    def put(self, key: str, payload: Mapping[str, Any], **more: Any) -> None:
-        self.send(**{"type": "command", "key": key, "payload": payload, "sent_ms": self.now_ms(), **more})
+    def put(self, key: str, payload: Mapping[str, Any]) -> None:
+        self.send(type="command", key=key, payload=payload, sent_ms=self.now_ms())
 
     def stop_all(self) -> dict[str, Any]:
         """Send STOP ALL, and return the message that confirms it."""
@@ -194,9 +194,9 @@ class Page(Closing):
         """Return the answer. Ask again, as a person does, if a busy machine delayed the question too long."""
         for _ in range(TRIES):
             number = next(self._ids)
-            self.send(**{"id": number, "sent_ms": self.now_ms(), **message})
+            self.send(id=number, sent_ms=self.now_ms(), **message)
             answer = self.answer("ack", number)
-            if "sent_ms" in message or answer["ack"] is None or answer["ack"].get("reason") != "stale":
+            if answer["ack"] is None or answer["ack"].get("reason") != "stale":
                 break
         return answer
 

@@ -103,7 +103,7 @@ def test_a_picture_that_stands_still_moves_nothing_and_a_new_press_by_a_fresh_on
             assert page.stop_all()["answered"]
             assert page.reset(robot.state().estop)["ack"]["accepted"]
         page.send(type="lease", id=2, do="release")
-        assert not page.wait("lease", lambda message: message["id"] == 2)["mine"]
+        assert not page.answer("lease", 2)["mine"]
 
 
 def test_pictures_come_one_by_one_with_their_age(console: Console, session: SignedIn) -> None:

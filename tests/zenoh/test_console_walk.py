@@ -70,7 +70,7 @@ def pad(page: Page) -> Iterator[Pad]:
 
 def acquire(page: Page) -> None:
     page.send(type="lease", id=1, do="acquire")
-    assert page.wait("lease", lambda message: message["id"] == 1)["mine"]
+    assert page.answer("lease", 1)["mine"]
 
 
 def walk(page: Page, fits: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
@@ -148,7 +148,7 @@ def test_who_gives_the_lease_up_sits_down_first_and_meanwhile_joints_wait(
     assert "this page walks" in answer["error"]
     page.send(type="lease", id=2, do="release")
     page.state(lambda state: state["mode"] == "idle")
-    assert not page.wait("lease", lambda message: message["id"] == 2)["mine"]
+    assert not page.answer("lease", 2)["mine"]
 
 
 def test_the_robot_sits_down_before_a_console_that_is_stopped_ends(
