@@ -20,16 +20,9 @@ from gateway.errors import ConfigError, GatewayError
 from gateway.host import output
 from gateway.model.frames import PROTOCOL_VERSION
 from gateway.onboard import check_command, incidents, setup_command
-from gateway.people import recorder
+from gateway.people import console, recorder
 from gateway.people.commands import certs, walk
-from gateway.people.commands.options import (
-    AdaptOption,
-    ConfigOption,
-    JsonOption,
-    OtherShapeOption,
-    Reach,
-    reaches,
-)
+from gateway.people.commands.options import ConfigOption, JsonOption, Reach, reaches
 from gateway.people.console import calibrate_command
 from gateway.people.ros2 import command as bridge
 from gateway.people.terminal import hint
@@ -245,72 +238,6 @@ def status(
 
 
 @app.command()
-@reaches
-def console(
-    *,
-    listen: Annotated[
-        str | None,
-        typer.Option(
-            metavar="HOST:PORT",
-            help="The address for browsers. Default: 127.0.0.1:8080, or the next free port.",
-        ),
-    ] = None,
-    reach: Reach,
-    cert: Annotated[
-        Path | None,
-        typer.Option(metavar="PATH", help="The console's TLS certificate (PEM), made by `certs issue --role console`."),
-    ] = None,
-    key: Annotated[Path | None, typer.Option(metavar="PATH", help="The certificate's private key.")] = None,
-    host: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME", help="A name by which browsers may reach it through a proxy. Repeatable."),
-    ] = None,
-    role: Annotated[
-        Literal["operator", "button", "observer"],
-        typer.Option(help="What pages may do. operator: drive and stop. button: only stop. observer: only watch."),
-    ] = "operator",
-    geometry: OtherShapeOption = None,
-    adapt: AdaptOption = False,
-    open_browser: Annotated[bool, typer.Option("--open", help="Open the page in this machine's browser.")] = False,
-    phone: Annotated[
-        bool,
-        typer.Option(
-            "--phone", help="Serve a phone in this network: print a QR code, and make a certificate if there is none."
-        ),
-    ] = False,
-    camera: Annotated[
-        list[str] | None,
-        typer.Option(metavar="[NAME=]URL", envvar="HEXAPOD_CONSOLE__CAMERA", help="Show an MJPEG stream. Repeatable."),
-    ] = None,
-    camera_stale_ms: Annotated[
-        float, typer.Option(metavar="MS", min=0, help="An older picture moves nothing; 0: any does.")
-    ] = 500.0,
-    link: Annotated[
-        bool, typer.Option("--link", help="Print a link to the running console (at --listen), for another browser.")
-    ] = False,
-    sign_out: Annotated[
-        bool,
-        typer.Option("--sign-out", help="End all sessions and links of this user's consoles (root: the service's)."),
-    ] = False,
-) -> None:
-    """Serve a web page that shows the robot and drives it; STOP ALL is one tap.
-
-    The console is a client of the gateway, and waits if no gateway runs yet. A link works once. A session ends after
-    12 hours. Other machines need TLS: --cert and --key, or --phone.
-    """
-    from gateway.people.console import command
-    from gateway.people.console.server.site import Options
-
-    if sign_out or link:
-        sys.exit(command.sign_out() if sign_out else command.link(listen))
-    names, streams = tuple(host or ()), tuple(camera or ())
-    options = Options(
-        reach, listen, cert, key, role, geometry, adapt, open_browser, phone, names, streams, camera_stale_ms
-    )
-    command.console(options)
-
-
-@app.command()
 def decode(
     hex_bytes: Annotated[list[str], typer.Argument(metavar="HEX…", help="A frame's bytes, such as 06 02 20 02 00 00")],
     as_json: JsonOption = False,
@@ -324,6 +251,7 @@ def decode(
     sys.exit(decode.decode(hex_bytes, as_json=as_json))
 
 
+app.add_typer(console.app)
 app.add_typer(calibrate_command.app, name="calibrate")
 app.add_typer(certs.app, name="certs")
 app.add_typer(recorder.app)

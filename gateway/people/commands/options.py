@@ -1,7 +1,7 @@
 """Options that several commands have."""
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar
@@ -83,16 +83,29 @@ class Reach(NamedTuple):
 
 
 def reaches(command: Callable[..., None]) -> Callable[..., None]:
-    """Return a command with the options of `Reach`, in the place of its parameter `reach`."""
-    options = inspect.signature(Reach).parameters
+    """Return a command with the fields of each NamedTuple among its parameters, such as `Reach`, as options."""
 
     @wraps(command)
     def call(**given: Any) -> None:
-        command(reach=Reach(**{name: given.pop(name) for name in options}), **given)
+        command(**_arguments(command, given))
 
-    parameters: list[inspect.Parameter] = []
-    for each in inspect.signature(command).parameters.values():
-        parameters += options.values() if each.name == "reach" else [each]
     keyword = inspect.Parameter.KEYWORD_ONLY
-    vars(call)["__signature__"] = inspect.Signature([each.replace(kind=keyword) for each in parameters])
+    vars(call)["__signature__"] = inspect.Signature([each.replace(kind=keyword) for each in _options(command)])
     return call
+
+
+def _options(function: Callable[..., Any]) -> Iterator[inspect.Parameter]:
+    for each in inspect.signature(function).parameters.values():
+        yield from _options(each.annotation) if _has_fields(each) else (each,)
+
+
+def _arguments(function: Callable[..., Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the function's arguments: options, and NamedTuples of options."""
+    return {
+        each.name: each.annotation(**_arguments(each.annotation, given)) if _has_fields(each) else given[each.name]
+        for each in inspect.signature(function).parameters.values()
+    }
+
+
+def _has_fields(parameter: inspect.Parameter) -> bool:
+    return hasattr(parameter.annotation, "_fields")

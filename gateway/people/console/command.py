@@ -9,6 +9,7 @@ from urllib.parse import urlsplit
 from gateway.errors import ConfigError, UnreachedError
 from gateway.host.directories import console_state
 from gateway.people.commands.options import Reach
+from gateway.people.console import ConsoleOptions
 from gateway.people.console.server import site
 from gateway.people.console.server.sessions import Sessions, kept
 from gateway.people.terminal import hint, say
@@ -20,10 +21,10 @@ ANSWERS_S: Final = 1.0
 CALIBRATION_CARD: Final = "cal"
 
 
-def console(options: site.Options) -> NoReturn:
+def console(options: ConsoleOptions, card: str = "") -> NoReturn:
     """Serve the page until the process is asked to end. Raises GatewayError.
 
-    On systemd's socket; without one at `listen`; without both on a free port.
+    On systemd's socket; without one at `listen`; without both on a free port. The first link leads to `card`.
     """
     _need_extra()
     from gateway.people.console import phone  # noqa: PLC0415 (does not load without them)
@@ -33,10 +34,10 @@ def console(options: site.Options) -> NoReturn:
     if options.phone:
         options = phone.prepared(options, console_state())
     address = site.address_in(passed, options.listen) if passed else options.listen or site.free_address()
-    place = site.site(address, options.cert, options.key, options.hosts)
+    place = site.site(address, options.cert, options.key, options.host or ())
     if not passed and options.listen is None and place.port != site.CONSOLE_PORT:
         hint(f"Port {site.CONSOLE_PORT} is taken by another program, so the console listens on {place.port}.")
-    serve(options, place, passed)
+    serve(options, place, passed, card)
 
 
 def calibration(reach: Reach) -> int:
@@ -44,7 +45,7 @@ def calibration(reach: Reach) -> int:
     if reach.connect is None and reach.zenoh_config is None and _answering() is not None:
         return link(None, CALIBRATION_CARD)
     hint("A console starts for the guide; Ctrl-C ends it.")
-    console(site.Options(reach, open_browser=True, card=CALIBRATION_CARD))
+    console(ConsoleOptions(reach=reach, open_browser=True), CALIBRATION_CARD)
 
 
 def link(listen: str | None, card: str = "") -> int:

@@ -7,7 +7,6 @@ link's token stands behind the # of its address, which browsers do not send.
 import datetime as dt
 import socket
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -20,8 +19,9 @@ from gateway.certs.files import read_certificate
 from gateway.errors import ConfigError
 from gateway.files import durable
 from gateway.people.commands.certs import DEFAULT_FOLDER
+from gateway.people.console import ConsoleOptions
 from gateway.people.console.server.auth import HEADERS, read_files
-from gateway.people.console.server.site import LOCALHOST, Options, Site, address_of, free_address
+from gateway.people.console.server.site import LOCALHOST, Site, address_of, free_address
 
 LISTEN: Final = "0.0.0.0:8443"
 _FILES: Final = {"/": "/tap.html", "/tap.js": "/tap.js", "/refused.css": "/refused.css"}
@@ -29,18 +29,18 @@ _LEFT: Final = dt.timedelta(days=1)
 """A certificate that expires sooner is made anew: nobody has to tap again while the robot walks."""
 
 
-def prepared(options: Options, folder: Path) -> Options:
+def prepared(options: ConsoleOptions, folder: Path) -> ConsoleOptions:
     """`options` with an address that phones reach, and a certificate for it: --cert, the fleet's, or one made here.
 
     Raises ConfigError.
     """
     listen = options.listen or LISTEN
     if options.cert is not None or options.key is not None:
-        return replace(options, listen=listen)
+        return options._replace(listen=listen)
     address, _ = address_of(listen)
     own = _address() if address in ("0.0.0.0", "::") else address  # noqa: S104
     cert, key = _of_the_fleet(DEFAULT_FOLDER.expanduser(), own) or _made(folder / "phone.pem", own)
-    return replace(options, listen=listen, cert=cert, key=key)
+    return options._replace(listen=listen, cert=cert, key=key)
 
 
 def door(site: Site) -> Site:

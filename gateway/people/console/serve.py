@@ -27,7 +27,7 @@ from gateway.geometry import Geometry, load
 from gateway.host import descriptors, logs, realtime
 from gateway.host.directories import console_state
 from gateway.people.commands.options import Reach
-from gateway.people.console import phone
+from gateway.people.console import ConsoleOptions, phone
 from gateway.people.console.link import STACK_BYTES, GatewayLink, Shared
 from gateway.people.console.pages.page_messages import ROLES, Role, json_of, least
 from gateway.people.console.pages.page_tasks import EndError, Stops, send_stopping
@@ -35,7 +35,7 @@ from gateway.people.console.pages.pages import Page, Pages
 from gateway.people.console.server.auth import CAMERA, HEADERS, Auth
 from gateway.people.console.server.listener import MAX_CONNECTIONS, HttpListener, WebSocket
 from gateway.people.console.server.sessions import LINK_S, Entry, Sessions
-from gateway.people.console.server.site import LOCALHOST, Options, Site, listening
+from gateway.people.console.server.site import LOCALHOST, Site, listening
 from gateway.people.terminal import hint, on_end_signals, say
 from gateway.people.walking.gaits import GAITS
 from gateway.people.walking.planning import lying_deg
@@ -190,10 +190,10 @@ class Owner(NamedTuple):
     common_name: str
 
 
-def serve(options: Options, site: Site, passed: Sequence[socket.socket]) -> NoReturn:
+def serve(options: ConsoleOptions, site: Site, passed: Sequence[socket.socket], card: str) -> NoReturn:
     """Serve until SIGTERM or Ctrl-C, and end the process with 0. Raises ConfigError, AddressTakenError, ZenohError.
 
-    `passed`: systemd's sockets; empty: the console binds its own.
+    `passed`: systemd's sockets; empty: the console binds its own. `card`: of the page, to which the first link leads.
     """
     owner = _owner(options.reach)
     owner = owner._replace(role=least(owner.role, options.role))
@@ -202,12 +202,12 @@ def serve(options: Options, site: Site, passed: Sequence[socket.socket]) -> NoRe
     realtime.limit_malloc_arenas()
     threading.stack_size(STACK_BYTES)
     door = phone.door(site) if options.phone else None
-    streams = cameras(options.cameras)
+    streams = cameras(options.camera or ())
     with listening(site, passed) as sockets, listening(door) if door else nullcontext(()) as doors:
         logs.set_up()  # from now on another thread writes the log: no slow reader delays this process
         found = Sessions(console_state(), site.port)
         found.begin(f"{door.url}/#{site.port}," if door else f"{site.url}/?token=", owner.role, owner.common_name)
-        asyncio.run(_run(options, site, (sockets, doors), found, owner, geometry, streams))
+        asyncio.run(_run(options, site, (sockets, doors), found, owner, geometry, streams, card))
 
 
 def show(link: str) -> None:
@@ -221,13 +221,14 @@ def show(link: str) -> None:
 
 
 async def _run(
-    options: Options,
+    options: ConsoleOptions,
     site: Site,
     sockets: tuple[Sequence[socket.socket], Sequence[socket.socket]],
     found: Sessions,
     owner: Owner,
     geometry: Geometry,
     streams: Mapping[str, Camera],
+    card: str,
 ) -> NoReturn:
     """`sockets`: the console's, and those of the page without TLS that explains the warning to a phone."""
     loop, ended = asyncio.get_running_loop(), asyncio.Event()
@@ -249,10 +250,10 @@ async def _run(
     realtime.freeze_gc()
     say(f"For a{'nother' if os.isatty(1) else ''} browser: {site.link_command}")
     if os.isatty(1):  # a journal, or another reader of this output, would keep a link and show it to others
-        show(found.new_link(options.card))
+        show(found.new_link(card))
     else:
         say(f"The console is at {site.url}")
-    shown = _opened(site, found, options.card) if options.open_browser else nullcontext()
+    shown = _opened(site, found, card) if options.open_browser else nullcontext()
     # Not by the loop's own handlers of signals, which Windows does not have.
     with on_end_signals(lambda: loop.call_soon_threadsafe(ended.set)), shown:
         await ended.wait()

@@ -9,7 +9,7 @@ import json
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
@@ -24,6 +24,7 @@ from gateway.errors import AddressTakenError, ConfigError, GatewayError
 from gateway.geometry import Geometry, load
 from gateway.people.client.subscriptions import States
 from gateway.people.commands.reach import Connection
+from gateway.people.recorder import RecordOptions
 from gateway.people.recorder.drawing import CAMERAS, DESCRIPTION, DRAWN, LOG, Drawing, definition, encode, log_line
 from gateway.people.ros2.messages import LOG_WARN, CompressedImage, Message
 from gateway.people.terminal import clear_line, hint, on_end_signals, say, show_line
@@ -295,25 +296,15 @@ class ReportQueue:
         return time.monotonic_ns() + self._since_1970_ns
 
 
-def record(
-    connect: Connection,
-    path: Path | None,
-    *,
-    table: bool,
-    live_port: int | None,
-    geometry: Path | None,
-    overwrite: bool,
-    seconds: float | None,
-    cameras: Sequence[str] = (),
-) -> int:
+def record(connect: Connection, options: RecordOptions) -> int:
     """Record until a signal, or for `seconds`. Returns the exit code. Raises AddressTakenError, ConfigError."""
-    found = watching.cameras(cameras)
-    recording = Recording(load(geometry), found)
+    cameras, path = watching.cameras(options.camera or ()), options.file
+    recording = Recording(load(options.geometry), cameras)
     with connect() as client:
         state = client.state()
-        port = None if live_port is None else recording.serve(live_port)
+        port = recording.serve(options.port) if options.live else None
         if path is not None:
-            _open(recording, path, state, table=table, overwrite=overwrite)
+            _open(recording, path, state, table=options.csv, overwrite=options.force)
         if port is not None:
             say(f"In Foxglove or Lichtblick, open the Foxglove WebSocket ws://{HOST}:{port}; Ctrl-C ends")
         reports = ReportQueue(client.states, state.physics)
@@ -322,7 +313,7 @@ def record(
         if client.states.config is not None:
             reports.put(CONFIG, client.states.config.model_dump_json().encode())
         reports.subscribe(client.session)
-        with on_end_signals(reports.end), reports.follow(found.values()):
+        with on_end_signals(reports.end), reports.follow(cameras.values()):
             if path is not None and state.telemetry.frames is False:
                 hint(
                     "The gateway publishes no frames, so the recording will have none: set telemetry.frames = true in "
@@ -330,7 +321,7 @@ def record(
                 )
             if path is not None:
                 hint(f"recording into {path}; Ctrl-C ends it")
-            return _Recorder(recording, reports, path).run(seconds)
+            return _Recorder(recording, reports, path).run(options.seconds)
 
 
 def _open(recording: Recording, path: Path, state: GatewayState, *, table: bool, overwrite: bool) -> None:

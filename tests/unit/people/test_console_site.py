@@ -18,12 +18,11 @@ from yarl import URL
 from gateway import certs
 from gateway.errors import ConfigError
 from gateway.host.directories import CONSOLE_STATE
-from gateway.people.commands.options import Reach
+from gateway.people.console import ConsoleOptions
 from gateway.people.console.phone import explain, prepared
 from gateway.people.console.server.auth import read_files
 from gateway.people.console.server.site import (
     RECEIVED_BYTES,
-    Options,
     Site,
     address_in,
     address_of,
@@ -228,8 +227,8 @@ def test_more_addresses_than_localhosts_are_rejected(stack: ExitStack, number: i
 LISTEN = "192.0.2.7:8443"
 
 
-def prepare(folder: Path, listen: str = LISTEN) -> Options:
-    return prepared(Options(Reach(), listen, phone=True), folder)
+def prepare(folder: Path, listen: str = LISTEN) -> ConsoleOptions:
+    return prepared(ConsoleOptions(listen, phone=True), folder)
 
 
 @pytest.fixture(autouse=True)

@@ -24,8 +24,6 @@ from gateway.certs.authority import hosts_of
 from gateway.certs.files import read_certificate
 from gateway.errors import AddressTakenError, ConfigError
 from gateway.host.directories import CONSOLE_STATE
-from gateway.people.commands.options import Reach
-from gateway.people.console.pages.page_messages import Role
 from gateway.words.own_command import this_command
 from gateway.zenoh.endpoints import is_local
 
@@ -269,25 +267,3 @@ def _tls(certificate: Path, key: Path) -> ssl.SSLContext:
 
 def _no_password() -> str:
     raise ValueError("the key has a password; a service cannot type it")
-
-
-@dataclass(frozen=True)
-class Options:
-    """The command's arguments, as `hexapod-gateway console --help` explains them."""
-
-    reach: Reach
-    listen: str | None = None
-    cert: Path | None = None
-    key: Path | None = None
-    role: Role = "operator"
-    geometry: Path | None = None
-    adapt: bool = False
-    open_browser: bool = False
-    phone: bool = False
-    hosts: tuple[str, ...] = ()
-    """Further names by which browsers may reach it."""
-    cameras: tuple[str, ...] = ()
-    """Each `URL` or `NAME=URL` of an MJPEG stream."""
-    camera_stale_ms: float = 500.0
-    card: str = ""
-    """The card of the page to which the first link leads; empty: the page's start."""
