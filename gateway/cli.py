@@ -23,7 +23,6 @@ from gateway.onboard import check_command, incidents, setup_command
 from gateway.people import console, recorder
 from gateway.people.commands import certs, walk
 from gateway.people.commands.options import ConfigOption, JsonOption, Reach, reaches
-from gateway.people.console import calibrate_command
 from gateway.people.ros2 import command as bridge
 from gateway.people.terminal import hint
 from gateway.words.own_command import command as own_command
@@ -252,7 +251,7 @@ def decode(
 
 
 app.add_typer(console.app)
-app.add_typer(calibrate_command.app, name="calibrate")
+app.add_typer(console.calibrate_app, name="calibrate")
 app.add_typer(certs.app, name="certs")
 app.add_typer(recorder.app)
 app.add_typer(incidents.app, name="incidents")
