@@ -66,11 +66,21 @@ class Console:
         self._pages = pages
         self._shared = shared
         self._cameras = found
-        self._commands = commands
-        self._lying: dict[int, float] = {}
-        with suppress(WalkError):  # one that cannot lie
-            self._lying = lying_deg(Robot(shared.geometry))
         self._open: set[WebSocket] = set()
+        lying: dict[int, float] = {}
+        with suppress(WalkError):  # a robot that cannot lie
+            lying = lying_deg(Robot(shared.geometry))
+        self._about = {
+            "person": shared.person,
+            "version": __version__,
+            "geometry": shared.geometry,
+            "lying": lying,
+            "gaits": tuple(GAITS),
+            "cameras": tuple(found),
+            "stale_ms": shared.stale_ms,
+            "commands": commands,
+        }
+        """The part of a page's first message that is the same for all."""
 
     async def serve(self, request: web.BaseRequest, session: Entry) -> web.StreamResponse:
         """Answer a page's WebSocket, and return once that has ended; or its request for a picture."""
@@ -122,27 +132,12 @@ class Console:
     async def _serve_page(self, websocket: WebSocket, session: Entry, tab: str) -> None:
         """`tab`: the browser's, by a name that it gave itself: the same after a reload. Empty: it gave none."""
         tab = f"{session.sha256} {tab[:32]}" if tab.isalnum() else ""
-        page = Page(self._pages.next_number(), session.role, self._shared, self._pages.former(tab))
-        hello = {
-            "type": "hello",
-            "role": session.role,
-            "person": self._shared.person,
-            "source": page.source,
-            "names": page.names,
-            "version": __version__,
-            "geometry": self._shared.geometry,
-            "lying": self._lying,
-            "gaits": tuple(GAITS),
-            "last_id": page.last_id,
-            "page": page.secret,
-            "cameras": tuple(self._cameras),
-            "stale_ms": self._shared.stale_ms,
-            "commands": self._commands,
-        }
+        page = Page(next(self._pages.numbers), session.role, self._shared, self._pages.former(tab))
+        own = {"source": page.source, "names": page.names, "last_id": page.last_id, "page": page.secret}
         self._pages.add(page)
         why = ""
         try:
-            await websocket.put(json_of(hello))
+            await websocket.put(json_of({"type": "hello", "role": session.role, **own, **self._about}))
             page.go_on()
             async with asyncio.TaskGroup() as tasks:  # the first that fails ends the others
                 for work in (self._receive(websocket, page), self._send(websocket, page), self._check(session)):

@@ -6,6 +6,7 @@ process, is rejected here or by the gateway.
 """
 
 import asyncio
+import itertools
 import json
 import logging
 import math
@@ -85,7 +86,8 @@ class Pages(Receiver):
         self._pages: set[Page] = set()
         self._left: dict[str, tuple[Page, int]] = {}
         """The page of each tab that drove when it was closed, and when that was."""
-        self._opened = 0
+        self.numbers = itertools.count(1)
+        """Page numbers, never used twice: the gateway distinguishes the pages' clocks by them."""
         self._newest: tuple[GatewayState, int] | None = None
         self._alarm = PowerAlarm()
         self._state: Callable[[], str] | None = None
@@ -127,11 +129,6 @@ class Pages(Receiver):
         self._left = {name: left for name, left in self._left.items() if left[1] > since_ns}
         page, _ = self._left.pop(tab, (None, 0))
         return page
-
-    def next_number(self) -> int:
-        """Return a new page number, never used twice: the gateway distinguishes the pages' clocks by it."""
-        self._opened += 1
-        return self._opened
 
     def received_state(self, state: GatewayState, received_ns: int) -> None:
         self._newest = state, received_ns
