@@ -3,7 +3,6 @@
 import asyncio
 import json
 from collections.abc import AsyncIterator
-from datetime import UTC, datetime
 from functools import partial
 from types import SimpleNamespace
 from typing import Any, cast
@@ -17,17 +16,11 @@ from gateway.people.console.pages.pages import Page, Pages
 from gateway.people.watching.confirmed_stop import AGAIN_NS
 from schemas.ack import Ack
 from schemas.config import WireReport
-from schemas.event import Event
 from schemas.telemetry import Telemetry
-from tests.support.published import WALL, state
+from schemas.words import Kind
+from tests.support.published import WALL, event, state
 
 pytestmark = pytest.mark.virtual_time
-
-
-def event(number: int) -> Message:
-    return event_message(
-        Event(time=datetime.now(UTC), kind="started", source=None, key=None, reason=None, detail=str(number))
-    )
 
 
 def stopping(number: int, *, answered: bool) -> Message:
@@ -41,7 +34,7 @@ async def sent(outgoing: Outgoing) -> list[dict[str, Any]]:
 async def test_a_page_that_reads_nothing_costs_a_bounded_amount() -> None:
     outgoing = Outgoing()
     for number in range(1000):
-        outgoing.put(event(number))
+        outgoing.put(event_message(event(Kind.STARTED, str(number))))
         outgoing.put(ack_message(number))
         outgoing.put(link_message("gone", str(number)))
         outgoing.put(stopping(number % 3, answered=number >= 999))
@@ -60,7 +53,7 @@ async def test_a_page_that_reads_nothing_costs_a_bounded_amount() -> None:
 async def test_the_stop_goes_first() -> None:
     outgoing = Outgoing()
     outgoing.put_state(lambda: '{"type": "state"}')
-    outgoing.put(event(1))
+    outgoing.put(event_message(event(Kind.STARTED)))
     outgoing.put(ack_message(1))
     outgoing.put(stopping(7, answered=False))
     outgoing.put(stopping(7, answered=True))
