@@ -3,7 +3,8 @@
 All threads are started at the beginning, four of them for STOP ALL alone and four for other Stops: so a Stop finds one
 even if everything else waits, or has taken all that the system allows.
 
-`AsyncClient` starts a thread when a call needs one, and knows no page: so the console uses the blocking client.
+The console uses the blocking client: `AsyncClient` starts a thread when a call needs one, up to a thousand for what may
+be a Stop, and the console's service may have 128 (TasksMax).
 """
 
 import asyncio
