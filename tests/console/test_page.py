@@ -183,21 +183,18 @@ def test_each_cause_has_words_and_none_sends_a_phone_to_a_terminal(
     browser: Browser, console: Console, gateway: Gateway
 ) -> None:
     with CutLink(f"tcp/127.0.0.1:{console.port}") as tunnel, behind(tunnel, browser, console, gateway) as visitor:
-        expect_words_of_each_cause(visitor.open(), console)
-
-
-def expect_words_of_each_cause(page: Opened, console: Console) -> None:
-    worded = page.module(
-        "words",
-        "(m, causes) => causes.map((cause) => "
-        " m.ended({ cause, by: 'bert', forMs: 7000, detail: 'a: b → systemctl' }, false))",
-        CAUSES,
-    )
+        page = visitor.open()
+        worded = page.module(
+            "words",
+            "(m, causes) => causes.map((cause) => "
+            " m.ended({ cause, by: 'bert', forMs: 7000, detail: 'a: b → systemctl' }, false))",
+            CAUSES,
+        )
+        typed = page.module("words", "(m) => ['lost', 'signed_out'].map((cause) => m.ended({ cause }, true).next)")
     for cause, each in zip(CAUSES, worded, strict=True):
         assert each["line"], cause
         assert not TYPED.search(f"{each}"), cause
     assert "bert" in worded[CAUSES.index("taken")]["line"]
-    typed = page.module("words", "(m) => ['lost', 'signed_out'].map((cause) => m.ended({ cause }, true).next)")
     listens = f"--listen {console.url.removeprefix('http://')}"
     assert [each.partition(": ")[2] for each in typed] == [
         f"hexapod-gateway console {listens}",
