@@ -1,11 +1,12 @@
-"""A robot that measures, one of which only the whole starts and stops, and one with a power board, on the page."""
+"""On the page: a robot that measures, one that starts and stops as a whole, with a power board, and with physics."""
 
 import json
 import re
+from pathlib import Path
 from typing import Final
 
 import pytest
-from playwright.sync_api import expect
+from playwright.sync_api import Browser, expect
 
 from gateway import geometry
 from gateway.client import Client
@@ -15,6 +16,9 @@ from gateway.people.watching.dangers import UNCONFIRMED
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Battery, Telemetry
 from tests.console.browser import CHANGES, Visitor
+from tests.support.console_process import Console
+from tests.support.fixtures import patient
+from tests.support.gateway_process import Gateway
 from tests.support.heard import servos_on, states
 from tests.support.published import LEANING, measures
 
@@ -126,3 +130,38 @@ def test_a_stop_that_the_board_does_not_confirm_is_red_on_both_pages_and_one_tha
     expect(page["known"]).to_have_text(UNCONFIRMED)
     expect(page.page.locator("body")).to_have_attribute("data-tone", "unconfirmed")
     page["leave"].click()
+
+
+# ---- simulated with physics: where its body is, and how somebody sets it upright
+
+PATIENT: Final = patient(10_000)
+"""A browser that draws on the processor leaves little of it to others."""
+STEEP: Final = "--sim=physics --terrain slope:30 --friction 3 --mass-kg 1 --servo-torque-nm 20"
+
+
+def both_sides(client: Client, legs: tuple[int, ...], second_deg: float, third_deg: float, verb: str) -> None:
+    """Do the same to left and right legs, whose servos are mirrored."""
+    angles = {leg: (90, second_deg, third_deg) if leg % 2 else (90, 180 - second_deg, 180 - third_deg) for leg in legs}
+    assert getattr(client, verb)(angles).accepted
+
+
+@pytest.mark.nightly
+def test_a_fallen_robot_is_set_upright(browser: Browser, tmp_path: Path) -> None:
+    """On a slope, against which its height and its leaning count."""
+    with (
+        Gateway(tmp_path, PATIENT, options=STEEP.split()) as gateway,
+        Console(tmp_path, "--connect", gateway.endpoint) as console,
+        Visitor(browser, console.url, console.sign_in()) as visitor,
+        gateway.client() as client,
+    ):
+        page = visitor.open(webgl=True)
+        for view in ("view-above", "view-solid"):  # who chooses them by hand gets them, however slow they are
+            page[view].check(force=True)
+        expect(page["sim-known"]).to_have_text(re.compile("^[5-7] cm high, leaning by [01]°"))
+        both_sides(client, (1, 2, 3, 4, 5, 6), 150, 110, "start_legs")
+        both_sides(client, (1, 2, 3, 4), 0, 20, "set_legs")  # which push it over backwards
+        expect(page["sim-known"]).to_have_text(re.compile("on its back"))
+        page.page.screenshot(path=tmp_path / "fallen.png")
+        assert client.stop().accepted
+        page["set-upright"].click()
+        expect(page["said"]).to_have_text("It stands on its feet again.")

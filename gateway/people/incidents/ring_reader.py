@@ -325,6 +325,7 @@ def _frame(rest: bytes) -> FrameWritten:
 
 
 def _unpacked(head: struct.Struct, content: BytesIO) -> tuple[Any, ...]:
+    """Read a structure. It and the functions below raise an exception of FORGED where the content ends too early."""
     return head.unpack(content.read(head.size))
 
 
