@@ -200,5 +200,15 @@ class Page(Closing):
                 break
         return answer
 
+    def lease(self, do: str) -> dict[str, Any]:
+        """Request the lease, or renew or release it. Return the answer; ask again if the gateway gave none in time."""
+        for _ in range(TRIES):
+            number = next(self._ids)
+            self.send(type="lease", id=number, do=do)
+            answer = self.answer("lease", number)
+            if "accepted" in answer:
+                break
+        return answer
+
     def close(self) -> None:
         self._stack.close()

@@ -1,6 +1,5 @@
 """The console between real pages and a real gateway: what is shown, what is sent, who drives, and who is let in."""
 
-import itertools
 import re
 import ssl
 from collections.abc import Callable, Iterator
@@ -16,7 +15,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from gateway import certs
 from gateway.people.walking.gaits import GAITS
 from schemas.robot import LEGS
-from tests.support.console_process import NOBODY, TRIES, Console, Page, SignedIn, sign_in
+from tests.support.console_process import NOBODY, Console, Page, SignedIn, sign_in
 from tests.support.fixtures import console_fixture, gateway_fixture, patient, session_fixture
 from tests.support.gateway_process import Gateway, free_port
 from tests.support.secured import Secured
@@ -26,7 +25,6 @@ START = {"servos": [{"op": "start", "angle_deg": angle} for angle in (90, 45, 12
 SET = {"servos": [{"op": "set", "angle_deg": angle} for angle in (91, 46, 121)]}
 STOP = {"servos": [{"op": "stop"}] * 3}
 TTL_MS: Final = 3000
-NUMBERS: Final = itertools.count(1000)
 
 gateway = gateway_fixture(patient(5000, lease={"ttl_ms": TTL_MS}))
 console = console_fixture()
@@ -99,24 +97,15 @@ def test_who_takes_a_leg_from_a_page_is_named(page: Page, other: Page) -> None:
 # ---- who drives: the lease is one WebSocket's, lives by that page's own requests, and ends with it
 
 
-def lease(page: Page, do: str) -> dict[str, Any]:
-    for number in itertools.islice(NUMBERS, TRIES):
-        page.send(type="lease", id=number, do=do)
-        answer = page.answer("lease", number)
-        if answer["accepted"] is not None:
-            break
-    return answer
-
-
 def test_the_token_stays_in_the_server(page: Page, other: Page) -> None:
     """No message to any page has it: 32 hex digits in a row that are not the Zenoh id of a session."""
     began = datetime.now(UTC)
-    assert lease(page, "acquire")["mine"]
+    assert page.lease("acquire")["mine"]
     acquired = other.event("lease_acquired", since=began)
     assert page.ask(LEG_3, START)["ack"]["accepted"]
     assert page.ask(LEG_3, STOP)["ack"]["accepted"]
-    assert lease(page, "renew")["mine"]
-    assert not lease(page, "release")["mine"]
+    assert page.lease("renew")["mine"]
+    assert not page.lease("release")["mine"]
     other.state()
     heard = page.heard + other.heard
     assert any('"mine":true' in text for text in heard)
@@ -126,12 +115,12 @@ def test_the_token_stays_in_the_server(page: Page, other: Page) -> None:
 
 
 def test_a_page_whose_lease_has_ended_resets_where_nobody_drives_and_starts_nothing(page: Page, other: Page) -> None:
-    assert lease(page, "acquire")["mine"]
-    assert lease(other, "take")["mine"]
-    assert lease(page, "renew")["mine"] is False
+    assert page.lease("acquire")["mine"]
+    assert other.lease("take")["mine"]
+    assert page.lease("renew")["mine"] is False
     estop = page.stop_all()["estop"]
     assert page.reset(estop)["ack"]["reason"] == "not_holder"
-    assert lease(other, "release")["accepted"]
+    assert other.lease("release")["accepted"]
     assert page.reset(estop)["ack"] == {"accepted": True}
     assert page.ask(LEG_3, START)["ack"]["reason"] == "not_holder", "it has not asked for the lease anew"
 
@@ -139,14 +128,14 @@ def test_a_page_whose_lease_has_ended_resets_where_nobody_drives_and_starts_noth
 def test_only_the_page_itself_renews_it(page: Page, other: Page) -> None:
     """A page that is frozen has an open socket, and loses the lease all the same."""
     began = datetime.now(UTC)
-    assert lease(page, "acquire")["mine"]
+    assert page.lease("acquire")["mine"]
     for _ in range(3):
         other.state()
-        assert lease(page, "renew")["mine"]
+        assert page.lease("renew")["mine"]
     other.event("lease_expired", since=began)
     for _ in range(10):  # a second later it is over by the console's own clock, too
         other.state()
-    lost = lease(page, "renew")
+    lost = page.lease("renew")
     assert (lost["mine"], lost["accepted"]) == (False, False)
     assert (lost["end"], lost["silent_s"] * 1000 > TTL_MS) == ("page_silent", True)
 
@@ -250,8 +239,7 @@ def test_the_console_reaches_a_gateway_with_certificates(
             page.state()
             if role == "operator":
                 assert page.stop_all()["stop_frames"] == 6
-                page.send(type="lease", id=1, do="acquire")
-                got = page.wait("lease")
+                got = page.lease("acquire")
                 assert (got["mine"], got["holder"], got["verified"]) == (True, person, True)
 
 

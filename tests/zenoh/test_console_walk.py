@@ -73,7 +73,7 @@ def console(gateway: Gateway, camera: CameraServer, tmp_path_factory: pytest.Tem
 def page(console: Console, session: SignedIn) -> Iterator[Page]:
     with console.page(session) as opened:
         is_free(opened)
-        acquire(opened)
+        assert opened.lease("acquire")["mine"]
         yield opened
 
 
@@ -82,11 +82,6 @@ def pad(page: Page) -> Iterator[Pad]:
     held = Pad(page)
     with meanwhile(held.send, STEP_S):
         yield held
-
-
-def acquire(page: Page) -> None:
-    page.send(type="lease", id=1, do="acquire")
-    assert page.answer("lease", 1)["mine"]
 
 
 def walk(page: Page, fits: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
@@ -158,7 +153,7 @@ def test_a_picture_that_stands_still_moves_nothing_and_a_new_press_by_a_fresh_on
     with console.page(session) as page, Shown(console, session, page) as shown:
         assert (page.hello["cameras"], page.hello["stale_ms"]) == (["front", "large"], 1000)
         is_free(page)
-        acquire(page)
+        assert page.lease("acquire")["mine"]
         pad = Pad(page)
         pad.hold(forward_m_s=0.06)
         pad.send()
@@ -190,8 +185,7 @@ def test_a_picture_that_stands_still_moves_nothing_and_a_new_press_by_a_fresh_on
             pad.hold(sits=True)
             assert page.stop_all()["answered"]
             assert page.reset(robot.state().estop)["ack"]["accepted"]
-        page.send(type="lease", id=2, do="release")
-        assert not page.answer("lease", 2)["mine"]
+        assert not page.lease("release")["mine"]
 
 
 def test_pictures_come_one_by_one_with_their_age(console: Console, session: SignedIn) -> None:
@@ -267,7 +261,7 @@ def test_a_page_that_falls_silent_stands_and_goes_on_with_a_new_press_only_and_o
     """When: tests/unit/people/test_ride.py. A wish that was delayed counts as none. At last the lease is given back."""
     with console.page(session) as page, console.page(session) as other:
         is_free(page)
-        acquire(page)
+        assert page.lease("acquire")["mine"]
         pad = Pad(page)
         with meanwhile(pad.send, STEP_S):
             walks(page, pad)
@@ -303,9 +297,8 @@ def test_who_gives_the_lease_up_sits_down_first_and_meanwhile_joints_wait(
     assert found["scaled"][0] < 0.5
     answer = page.ask("hexapod/leg/3/cmd", {"servos": [{"op": "set", "angle_deg": 90}] * 3})
     assert "this page walks" in answer["error"]
-    page.send(type="lease", id=2, do="release")
+    assert not page.lease("release")["mine"]
     page.state(lambda state: state["mode"] == "idle")
-    assert not page.answer("lease", 2)["mine"]
 
 
 def test_the_robot_sits_down_before_a_console_that_is_stopped_ends(
@@ -314,7 +307,7 @@ def test_the_robot_sits_down_before_a_console_that_is_stopped_ends(
     heard = events(robot)
     with Console(tmp_path, "--connect", gateway.endpoint) as own:
         page = own.page(own.sign_in())
-        acquire(page)
+        assert page.lease("acquire")["mine"]
         pad = Pad(page)
 
         def send() -> None:
