@@ -20,10 +20,9 @@ from gateway.errors import ConfigError, GatewayError
 from gateway.host import output
 from gateway.model.frames import PROTOCOL_VERSION
 from gateway.onboard import check_command, incidents, setup_command
-from gateway.people import console, recorder
+from gateway.people import console, recorder, ros2
 from gateway.people.commands import certs, walk
 from gateway.people.commands.options import ConfigOption, JsonOption, Reach, reaches
-from gateway.people.ros2 import command as bridge
 from gateway.people.terminal import hint
 from gateway.words.own_command import command as own_command
 
@@ -259,7 +258,7 @@ app.add_typer(check_command.app)
 if _PACKAGED:
     app.add_typer(setup_command.app)
 app.add_typer(walk.app)
-app.add_typer(bridge.app)
+app.add_typer(ros2.app)
 
 send_app = typer.Typer(
     help="Send one acknowledged command through a running gateway.\n\n"

@@ -11,7 +11,6 @@ from collections.abc import Callable, Mapping
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from pydantic import BaseModel, ValidationError
@@ -21,8 +20,8 @@ from gateway.errors import ConfigError
 from gateway.geometry import load
 from gateway.people.client.subscriptions import States
 from gateway.people.commands.reach import Connection
+from gateway.people.ros2 import BridgeOptions, robot
 from gateway.people.ros2 import messages as ros
-from gateway.people.ros2 import robot
 from gateway.people.ros2.commanded import CommandedJoints
 from gateway.people.ros2.driving import Driving
 from gateway.people.ros2.joints import JointNames, JointsError
@@ -165,30 +164,25 @@ OPEN_NAME: Final = "ros2 (open graph)"
 WATCH_S: Final = 0.05
 
 
-def serve(
-    connect: Callable[[str], Connection],
-    *,
-    ros_args: list[str],
-    domain: int,
-    namespace: str,
-    joint_names: str,
-    parameters: Parameters,
-    drives: bool,
-    allow_reset: bool,
-    with_tf: bool,
-    geometry: Path | None,
-) -> int:
+def serve(connect: Callable[[str], Connection], options: BridgeOptions) -> int:
     """Serve until a signal; `connect` takes the name by which the gateway knows us. Returns the exit code.
 
     Raises ConfigError, ZenohError.
     """
+    parameters = Parameters(
+        options.joint_states_hz,
+        options.diagnostics_hz,
+        options.base_frame,
+        options.imu_frame,
+        math.nan if options.uncommanded_deg is None else options.uncommanded_deg,
+    )
     try:
-        joints = JointNames(joint_names)
+        joints = JointNames(options.joint_names)
     except JointsError as error:
         raise ConfigError(f"--joint-names: {error}") from error
-    shape = load(geometry)
+    shape = load(options.geometry)
     ended = threading.Event()
-    with closing(Node(domain, namespace, ros_args)) as node:
+    with closing(Node(options.domain, options.namespace, options.ros_args or [])) as node:
         if is_open := bool(found := sorted(set(open_on()))):
             hint(
                 f"ROS 2's graph is open to the network ({node.rmw} has sockets on {', '.join(found)}): all who reach "
@@ -206,13 +200,13 @@ def serve(
                 topics,
                 node.parameters(parameters),
                 client.states,
-                hardware_id=namespace.strip("/") or node.get_name(),
-                with_tf=with_tf,
+                hardware_id=options.namespace.strip("/") or node.get_name(),
+                with_tf=options.tf,
                 is_open=is_open,
             )
             reports.joints.take(keys.CALIBRATION, client.calibration().model_dump(mode="json"))
             topics.subscribe()
-            node.serve("reset", partial(driving.reset, allowed=allow_reset))
+            node.serve("reset", partial(driving.reset, allowed=options.allow_reset))
             node.serve("drive", driving.drive)
             node.serve("release", driving.release)
             watch = threading.Thread(target=_watch, args=(ended, driving), name="watch the motion", daemon=True)
@@ -220,8 +214,9 @@ def serve(
             at_the_end.callback(watch.join)
             at_the_end.callback(ended.set)
             at_the_end.callback(driving.close)  # first: its legs are stopped before it waits for anything
-            node.manage(partial(driving.activate, drives=drives), driving.deactivate)
-            say(f"{node.get_fully_qualified_name()} is in ROS 2's graph of {node.rmw}, domain {domain}; Ctrl-C ends")
+            node.manage(partial(driving.activate, drives=options.drive), driving.deactivate)
+            named = f"{node.get_fully_qualified_name()} is in ROS 2's graph of {node.rmw}"
+            say(f"{named}, domain {options.domain}; Ctrl-C ends")
             while not ended.wait(PERIOD_S):
                 topics.record_alive()
                 reports.tick(time.monotonic())
