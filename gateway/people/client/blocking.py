@@ -37,7 +37,7 @@ from gateway.people.client.payloads import (
     row,
 )
 from gateway.people.client.process_end import check_fork, close_at_the_end, forked, keep_signals
-from gateway.people.client.question import JSON, EstopAck, Hosts, Question, close_later, taken_id
+from gateway.people.client.question import JSON, EstopAck, Hosts, Question, close_later
 from gateway.people.client.stream import Stream
 from gateway.people.client.subscriptions import NO_CONFIG, States, reads
 from gateway.words.own_command import command
@@ -126,7 +126,9 @@ class Client:
         self.zid = str(self.session.zid())
         """The session's Zenoh id, the `source_id` of this client's commands."""
         if self._hosts.id is not None and int(self._hosts.id, 16) != int(self.zid, 16):
-            warnings.warn(taken_id(self._hosts.id, self.zid, file), stacklevel=2)
+            why = f"the gateway does not admit the Zenoh id {self._hosts.id} of {file}"
+            taken = f"another program may be connected with it, so this one has {self.zid}"
+            warnings.warn(f"{why}: {taken}. Remove `id` from the file", stacklevel=2)
         self.states = States(self.session)
         """Joins states and the configuration. @private"""
         self.name = self.zid if source is None else source

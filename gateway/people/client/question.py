@@ -16,7 +16,6 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Annotated, Final, Generic, Literal, TypeVar
 
@@ -77,7 +76,10 @@ class Hosts:
 
         A gateway admits one session of each id. Where ours is taken, a Stop goes by another id.
         """
-        config = self.config_for(first)
+        config = self.config
+        if first > 0:
+            config = zenoh.Config.from_json5(str(config))
+            config.insert_json5("connect/endpoints", json.dumps([*self.endpoints[first:], *self.endpoints[:first]]))
         try:
             return zenoh.open(config)
         except zenoh.ZError as error:
@@ -86,20 +88,6 @@ class Hosts:
             config = zenoh.Config.from_json5(str(config))
             config.insert_json5("id", "null")
             return zenoh.open(config)
-
-    def config_for(self, first: int) -> zenoh.Config:
-        """Return the configuration of a session that tries endpoint number `first` first."""
-        if first == 0:
-            return self.config
-        config = zenoh.Config.from_json5(str(self.config))
-        config.insert_json5("connect/endpoints", json.dumps([*self.endpoints[first:], *self.endpoints[:first]]))
-        return config
-
-
-def taken_id(wanted: str, zid: str, file: Path | None) -> str:
-    """Return the warning of a client that was admitted with another Zenoh id than its file sets."""
-    why = f"the gateway does not admit the Zenoh id {wanted} of {file}: another program may be connected with it"
-    return f"{why}, so this one has {zid}. Remove `id` from the file"
 
 
 class Search:

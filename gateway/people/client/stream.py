@@ -8,10 +8,9 @@ import threading
 import time
 import warnings
 from collections import deque
-from collections.abc import Iterable
-from contextlib import suppress
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from datetime import datetime
-from types import TracebackType
 from typing import Any, Final, NoReturn, Self
 
 from gateway.errors import (
@@ -110,15 +109,9 @@ class Stream:
     def __enter__(self) -> Self:
         return self.open()
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        try:
+    def __exit__(self, _kind: Any, error: BaseException | None, _trace: Any) -> None:
+        with noted(error, "the Stop at the end of the stream"):
             self.close()
-        except GatewayError as failed:
-            if error is None:
-                raise
-            error.add_note(f"and the Stop at the end of the stream: {failed}")
 
     def set(self, angles: Setpoints, *, unit: Unit = "deg") -> None:
         """Wait for the next tick, also before an error, then send the legs' angles in one message.
@@ -410,9 +403,7 @@ class Stream:
 
     def _fresh_events(self) -> list[ReceivedEvent]:
         """Return the events since the latest call, without those of motion before the start."""
-        events = []
-        while self._events:
-            events.append(self._events.popleft())
+        events = [self._events.popleft() for _ in range(len(self._events))]
         return [each for each in events if self._since is not None and each.event.time > self._since]
 
     def _reported_stop(self, events: Iterable[ReceivedEvent]) -> StoppedError | None:
@@ -465,10 +456,9 @@ class Stream:
         self._received_stop.wait(_EVENT_S)
         if (reported := self._reported_stop(self._fresh_events())) is not None:
             return reported
-        senders = [each for each in state.legs if each.leg in legs and each.source is not None]
-        if not senders:
-            return stopped.stopped_by(None, stopped.UNKNOWN, legs)
-        return stopped.stopped_by(senders[0].source, self._name_of(senders[0]), legs)
+        ours = [each for each in state.legs if each.leg in legs]
+        sent = next((each for each in ours if each.source is not None), ours[0])
+        return stopped.stopped_by(sent.source, self._name_of(sent), legs)
 
 
 def not_open(what: str, *, closed: bool) -> RuntimeError:
@@ -476,6 +466,17 @@ def not_open(what: str, *, closed: bool) -> RuntimeError:
     if closed:
         return RuntimeError(f"this {what} is closed: close(), or the end of its client, has ended it")
     return RuntimeError(f"a {what} is used in a `with`, or between `open` and `close`")
+
+
+@contextmanager
+def noted(error: BaseException | None, what: str) -> Iterator[None]:
+    """If `what` inside the `with` fails after `error`, make its failure a note of `error`."""
+    try:
+        yield
+    except GatewayError as failed:
+        if error is None:
+            raise
+        error.add_note(f"and {what}: {failed}")
 
 
 def checked_hz(hz: float) -> float:

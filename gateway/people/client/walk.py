@@ -5,7 +5,6 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Final, Self, TypeVar
 from weakref import finalize
 
@@ -17,7 +16,7 @@ from gateway.people.client import stopped
 from gateway.people.client.lease import DrivingClient, Lease, own_lease
 from gateway.people.client.pace import Retries
 from gateway.people.client.process_end import WalkSignals, forked
-from gateway.people.client.stream import Stream, checked_hz, not_open
+from gateway.people.client.stream import Stream, checked_hz, not_open, noted
 from gateway.people.client.subscriptions import undeclare
 from gateway.people.walking.balance import ReceivedTelemetry, terrain_named
 from gateway.people.walking.gait_speed import Distance
@@ -234,17 +233,10 @@ class Walk:
         self._signals.begin()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        with self._signals.end():
-            try:
-                # The end of a program must not drop the robot; a second signal interrupts the sitting down.
-                self.close(sits=error is None or isinstance(error, KeyboardInterrupt | SystemExit))
-            except GatewayError as failed:
-                if error is None:
-                    raise
-                error.add_note(f"and the end of the walk: {failed}")
+    def __exit__(self, _kind: Any, error: BaseException | None, _trace: Any) -> None:
+        with self._signals.end(), noted(error, "the end of the walk"):
+            # The end of a program must not drop the robot; a second signal interrupts the sitting down.
+            self.close(sits=error is None or isinstance(error, KeyboardInterrupt | SystemExit))
 
     def open(self) -> Self:
         """Acquire the lease, and read limits and calibration. Moves nothing. Raises as calls do, or LeaseError."""
@@ -260,7 +252,7 @@ class Walk:
             if self._terrain == "adapt":
                 measured = self._client.on_telemetry(lambda new: inner._measured.take(new, time.monotonic()))
                 self._subscribers.append(measured)
-            state = self._ask(None)
+            state = self._ask()
             self._ride = Ride(
                 self._robot(state),
                 self._gait,
@@ -339,8 +331,8 @@ class Walk:
         if stream is not None:
             stream.close()
 
-    def _ask(self, timeout_s: float | None) -> GatewayState:
-        state = self._client.state(timeout_s)
+    def _ask(self) -> GatewayState:
+        state = self._client.state()
         self._take(state)
         return state
 
@@ -348,12 +340,17 @@ class Walk:
         self._newest.take(state, time.monotonic())
 
     def _robot(self, state: GatewayState) -> Robot:
-        """Return the robot with its current limits and calibration. Set a rate that the limits allow."""
-        robot = robot_of(self._client, self._geometry, state)
+        """Return the robot with its current limits and calibration. Set a rate that the limits allow.
+
+        Raises WalkError if geometry and calibration both mirror it.
+        """
+        calibration = self._client.calibration()
+        check_mirrored_once(self._geometry, calibration)
         self._revision = state.calibration.revision
         most_hz = state.limits.leg_rate_hz
         self._rate_hz = self._hz if self._hz <= most_hz else _SLOWER * most_hz
-        return robot
+        limits = ranges(state.limits, calibration)
+        return Robot(self._geometry, limits, starts_whole=state.wire.whole_robot, fed_singly=state.power is not None)
 
     def _using(self) -> Ride:
         if self._ride is None or self._closing:
@@ -421,7 +418,7 @@ class Walk:
             lease = Lease(self._client)
             lease.acquire()
             self._lease = lease
-        state = self._ask(None)
+        state = self._ask()
         if again and (why := stopped.unready(state, reset=self._client.reset_command)) is not None:
             raise why
         running = running_deg(state)
@@ -466,11 +463,3 @@ def dropped(walk: Walk) -> None:
     if walk._inner is not None and not forked():
         with suppress(RuntimeError):  # the program has ended
             threading.Thread(target=close, name="close the walk").start()
-
-
-def robot_of(client: DrivingClient, geometry: Geometry, state: GatewayState) -> Robot:
-    """Return the robot with its limits and calibration. Raises WalkError if geometry and calibration both mirror it."""
-    calibration = client.calibration()
-    check_mirrored_once(geometry, calibration)
-    limits = ranges(state.limits, calibration)
-    return Robot(geometry, limits, starts_whole=state.wire.whole_robot, fed_singly=state.power is not None)
