@@ -10,12 +10,13 @@ from typing import Any
 
 import pytest
 
-from gateway.client import Client
+from gateway.client import Client, GatewayError
 from gateway.files import durable
 from gateway.host.mounts import forgets
 from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.model.frames import decode
-from gateway.people.commands.calibration import NotKeptYetError, once_kept
+from gateway.people.client.payloads import calibration_payload
+from gateway.people.commands.calibration import once_kept
 from gateway.robot.core.calibrating import UNTIL_TRUSTED
 from gateway.robot.runtime import calibrations
 from schemas import keys
@@ -180,8 +181,8 @@ def test_no_stop_waits_for_a_disk_that_hangs(tmp_path: Path) -> None:
         assert (ack.accepted, ack.reason) == (False, Reason.INVALID)
         assert client.calibrate(TRIM).accepted
         os.mkfifo(durable.staged_for(path))  # and nobody ever reads this one
-        with Client(gateway.endpoint, timeout_s=1.5) as hasty, pytest.raises(NotKeptYetError, match="its disk"):
-            once_kept(hasty, lambda: hasty.calibrate({31: ServoChange(trim_deg=8)}, check=False))
+        with Client(gateway.endpoint, timeout_s=1.5) as hasty, pytest.raises(GatewayError, match="its disk"):
+            once_kept(hasty, calibration_payload({31: ServoChange(trim_deg=8)}))
         until_it_is_being_kept(client)
         gateway.child.terminate()
         assert gateway.child.wait(10) == 0, str(gateway.child)

@@ -13,8 +13,7 @@ from typing import Final
 
 import pytest
 
-from gateway.client import Client, LeaseError, StoppedError, Stream, Walk
-from gateway.people.client.stopped import DECIDES
+from gateway.client import Client, LeaseError, StoppedError, Stream
 from schemas.words import Cause, Kind
 from tests.support.child import Child
 from tests.support.fixtures import gateway_fixture, patient
@@ -101,21 +100,6 @@ def test_a_stream_that_waits_for_a_reset_leaves_the_lease_to_whoever_resets(two:
             recovers.result()
         stream.set({1: POSE})
         assert first.state().lease.holder == NAME
-
-
-def test_a_stop_has_one_sentence_for_streams_and_walks(two: tuple[Client, Client]) -> None:
-    """It names a call that both have; `recover` raises the same error, since a person decides."""
-    first, second = two
-    with started(first) as stream:
-        second.stop()
-        with pytest.raises(StoppedError) as stopped:
-            hold(stream)
-        with pytest.raises(StoppedError) as again:
-            stream.recover()
-        assert again.value is stopped.value
-        assert stopped.value.__notes__ == [DECIDES]
-    for kind in (Stream, Walk):
-        assert callable(kind.start_again)
 
 
 def test_a_second_program_with_the_id_of_a_zenoh_file_stops_the_robot_all_the_same(
@@ -255,23 +239,3 @@ def test_a_rejection_names_the_session_of_its_command(two: tuple[Client, Client]
     first.set_leg(2, *POSE, check=False)
     rejected = happened.wait(lambda event: event.kind == Kind.COMMAND_REJECTED)
     assert (rejected.source, rejected.source_id) == (NAME, first.zid)
-
-
-def test_a_program_that_was_started_anew_is_another_one(gateway: Gateway) -> None:
-    """The first was killed while its leg ran."""
-    program = f"""
-from gateway.client import Client
-robot = Client({gateway.endpoint!r}, source={NAME!r})
-robot.start_leg(1, *{POSE})
-print(robot.zid, flush=True)
-input()
-"""
-    with Child([sys.executable, "-c", program], os.environ) as killed, Client(gateway.endpoint, source=NAME) as anew:
-        before = killed.wait_for_line(0)
-        happened = events(anew)
-        killed.kill()
-        anew.set_leg(1, *POSE)
-        taken = happened.wait(lambda event: event.kind == Kind.SOURCE_CHANGED)
-        assert taken.detail == "leg 1 is commanded by my gait, and was by another program named 'my gait'"
-        assert before != taken.source_id == anew.zid
-        anew.stop()

@@ -3,7 +3,6 @@
 It changes nothing: no byte reaches the robot, and a running gateway is not disturbed.
 """
 
-import datetime as dt
 import grp
 import os
 import pwd
@@ -143,7 +142,7 @@ def laptop(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> 
     endpoints, identity = connect_endpoints(config), Identity.of(config)
     where = str(zenoh_config) if zenoh_config is not None else "none, so without certificates"
     yield Result("configuration", Verdict.OK, f"{where}; dials {', '.join(endpoints) or 'nobody'}")
-    yield from map(_result, diagnosis.own_certificates(identity, dt.datetime.now(dt.UTC)))
+    yield from map(_result, diagnosis.own_certificates(identity))
     source = "hexapod-gateway check"
     with ExitStack() as stack:
         client = None

@@ -92,20 +92,18 @@ class Finding:
         return f"{self.stage}: {self.sentence}" + (f" → {self.fix}" if self.fix else "")
 
 
-def why(config: zenoh.Config, timeout_s: float = TIMEOUT_S) -> list[str]:
-    """Return a line for each endpoint, with the stage that fails, after `timeout_s` at most."""
+def why(config: zenoh.Config) -> list[str]:
+    """Return a line for each endpoint, with the stage that fails, after TIMEOUT_S at most."""
     identity = Identity.of(config)
-    found = diagnose_all(connect_endpoints(config), identity, timeout_s)
+    found = diagnose_all(connect_endpoints(config), identity)
     if (of_clock := expired(identity)) is not None:
         return [f"no gateway answers: {of_clock}"]
     return [f"no gateway answers on {endpoint}: {findings[-1]}" for endpoint, findings in found.items()]
 
 
-def diagnose_all(
-    endpoints: Sequence[str], identity: Identity, timeout_s: float = TIMEOUT_S
-) -> dict[str, list[Finding]]:
+def diagnose_all(endpoints: Sequence[str], identity: Identity) -> dict[str, list[Finding]]:
     """Return the findings of `diagnose` for each endpoint, in parallel. The last is the stage that was reached."""
-    end_s = time.monotonic() + timeout_s
+    end_s = time.monotonic() + TIMEOUT_S
     found: dict[str, list[Finding]] = {endpoint: [] for endpoint in endpoints}
 
     def find(endpoint: str) -> None:
@@ -174,8 +172,8 @@ def _by_interface(at: Any, interface: str | None) -> Any:
     return (*at[:3], socket.if_nametoindex(interface)) if interface and _lacks_interface(at) else at
 
 
-def own_certificates(identity: Identity, now: dt.datetime) -> Iterator[Finding]:
-    """Yield the validity of this machine's certificates at `now`."""
+def own_certificates(identity: Identity) -> Iterator[Finding]:
+    """Yield the validity of this machine's certificates."""
     for path in (identity.ca, identity.certificate):
         if path is None:
             continue
@@ -184,12 +182,13 @@ def own_certificates(identity: Identity, now: dt.datetime) -> Iterator[Finding]:
         except ConfigError as error:
             yield Finding(Stage.CERTIFICATE, str(error), "restore it from its bundle")
             continue
+        now = dt.datetime.now(dt.UTC)
         yield validity(path.name, certificate.not_valid_before_utc, certificate.not_valid_after_utc, now)
 
 
 def expired(identity: Identity) -> Finding | None:
     """Return the finding about a certificate of this machine that is not valid now, if there is one."""
-    return next((each for each in own_certificates(identity, dt.datetime.now(dt.UTC)) if each.fix), None)
+    return next((each for each in own_certificates(identity) if each.fix), None)
 
 
 def own_expiry(config: zenoh.Config) -> str | None:

@@ -52,12 +52,7 @@ def _leg_angles(angles: object, unit: Unit, leg: str = "") -> tuple[float, ...]:
         raise TypeError(f"a leg's angles are a list, a tuple or an array of three, and not {angles!r}")
     if len(angles) != len(JOINTS):
         raise OutOfRangeError(f"{leg}{len(angles)} angles; a leg has three joints")
-    try:
-        return tuple([number(angle, unit) for angle in angles])
-    except OutOfRangeError:
-        for joint, angle in enumerate(angles, start=1):
-            number(angle, unit, f"{leg}joint {joint}: ")
-        raise
+    return tuple([number(angle, unit, leg, joint) for joint, angle in enumerate(angles, start=1)])
 
 
 def _setpoint(op: str, angles: tuple[float, ...]) -> dict[str, Any]:
@@ -121,9 +116,9 @@ def setpoints(op: str, angles: LegAngles) -> dict[str, Any]:
     return {str(leg): _setpoint(op, each) for leg, each in angles.items()}
 
 
-def servo_payload(op: str, angle: Angle | None = None, unit: Unit = "deg") -> dict[str, Any]:
+def servo_payload(op: str, angle: Angle | None = None) -> dict[str, Any]:
     """Return the payload of a servo's command. Raises as `number`."""
-    return {"op": op} if angle is None else {"op": op, "angle_deg": number(angle, unit)}
+    return {"op": op} if angle is None else {"op": op, "angle_deg": number(angle)}
 
 
 def calibration_payload(
@@ -155,11 +150,11 @@ def leg_number(leg: object) -> int:
     return found
 
 
-def number(angle: object, unit: Unit = "deg", which: str = "") -> float:
+def number(angle: object, unit: Unit = "deg", leg: str = "", joint: int = 0) -> float:
     """Return an angle in degrees, for JSON. Raises TypeError for a bool, a string, and all else that is no number.
 
     An angle outside 0 to 180 degrees by at most ROUNDING_DEG becomes that limit. Raises OutOfRangeError for one farther
-    outside; `which` begins the sentence: `joint 3: `.
+    outside; `leg` ("leg 4, ") and `joint` (0: none) begin the sentence.
 
     >>> number(180.0000000000001), number(-1e-15), number(1.5707963267948966, "rad")
     (180.0, 0.0, 90.0)
@@ -172,6 +167,7 @@ def number(angle: object, unit: Unit = "deg", which: str = "") -> float:
     if 0 <= degrees <= MAX_DEG:
         return degrees
     if not -ROUNDING_DEG <= degrees <= MAX_DEG + ROUNDING_DEG:  # or it is no number (NaN)
+        which = f"{leg}joint {joint}: " if joint else ""
         raise OutOfRangeError(f"{which}{degrees:g}° is not between 0 and 180°")
     return min(max(degrees, 0.0), MAX_DEG)
 

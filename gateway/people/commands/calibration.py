@@ -1,7 +1,7 @@
 """The commands of `calibrate` for scripts: export and import the calibration, and record the landing pose."""
 
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -9,7 +9,7 @@ from pydantic import ValidationError
 
 from gateway.errors import ConfigError, GatewayError, LeaseError, UnansweredError
 from gateway.files import durable
-from gateway.model.calibration import AS_DRAWN, RobotCalibration, ServoMapping, calibration_of, changed_servos
+from gateway.model.calibration import AS_DRAWN, ServoMapping, calibration_of, changed_servos
 from gateway.model.frames import centidegrees
 from gateway.people.client.blocking import Client
 from gateway.people.client.payloads import calibration_payload
@@ -20,7 +20,6 @@ from gateway.words.own_command import command
 from schemas import calibration as wire
 from schemas import keys
 from schemas.ack import Ack
-from schemas.config import CalibrationReport
 from schemas.gateway_state import GatewayState
 from schemas.words import Reason
 
@@ -50,7 +49,8 @@ def import_file(connect: Connection, file: Path, *, agreed: bool) -> int:
         state, now = client.state(), calibration_of(client.calibration())
         changed, fault = changed_servos(now, wanted), state.calibration.fault
         if fault is None and not changed and now.landing_cdeg == wanted.landing_cdeg:
-            say(f"there is nothing to change: {_about(state.calibration, now)}")
+            kept = "kept on the robot" if state.calibration.kept else "until the next boot only"
+            say(f"there is nothing to change: revision {now.revision}, {kept}")
             return 0
         if fault is not None:
             say(f"{fault}; the file is replaced")
@@ -127,17 +127,13 @@ def landing(connect: Connection, legs: Sequence[int], *, agreed: bool) -> int:
     return code
 
 
-class NotKeptYetError(GatewayError):
-    """The gateway runs, but has not answered a change: its disk is slow, or hangs."""
-
-
-def once_kept(client: Client, change: Callable[[], Ack]) -> Ack:
-    """Return the answer to `change`. Raises NotKeptYetError if only this answer is missing, else as `change`."""
+def once_kept(client: Client, payload: Mapping[str, Any]) -> Ack:
+    """Return the answer to this change. Raises GatewayError if the gateway runs, but its disk is slow, or hangs."""
     try:
-        return change()
+        return client.ask(keys.CALIBRATION_CMD, payload)
     except UnansweredError as error:
         client.state()  # raises if nobody answers
-        raise NotKeptYetError(
+        raise GatewayError(
             "the gateway runs, but its disk has not written the change yet. See in a few seconds if it is in force "
             f"({command('calibrate export')}). If the disk hangs, a second try reports that"
         ) from error
@@ -163,7 +159,7 @@ def _change(client: Client, done: str, state: GatewayState, payload: Mapping[str
     fall.
     """
     try:
-        ack = once_kept(client, lambda: client.ask(keys.CALIBRATION_CMD, payload))
+        ack = once_kept(client, payload)
         if ack.reason in (Reason.NOT_HOLDER, Reason.NO_LEASE):
             ack = _when_free(client, payload)
     except LeaseError as error:
@@ -184,12 +180,7 @@ def _when_free(client: Client, payload: Mapping[str, Any]) -> Ack:
         hint(f"{holder} drives, and is asked for the lease. The change is written when the lease is free; the")
         hint(f"servos may be stopped by then. Waiting for up to {WAIT_S:g} s.")
     with client.lease(wait_s=WAIT_S, source=reach.me()):
-        return once_kept(client, lambda: client.ask(keys.CALIBRATION_CMD, payload))
-
-
-def _about(report: CalibrationReport, calibration: RobotCalibration) -> str:
-    kept = "kept on the robot" if report.kept else "until the next boot only"
-    return f"revision {calibration.revision}, {kept}"
+        return once_kept(client, payload)
 
 
 def _angle(cdeg: int | None) -> str:

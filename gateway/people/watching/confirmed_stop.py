@@ -91,10 +91,9 @@ class ConfirmedStop(Generic[P, W]):
         for press in [press for press in self._unconfirmed if press.page is None][:-1]:
             self._unconfirmed.remove(press)
 
-    def take_back(self, request: StopRequest[W] | None = None) -> None:
-        """Drop the presses that this request covers (None: all)."""
-        covers = self._presses if request is None else request.covers
-        self._unconfirmed = [press for press in self._unconfirmed if press.number > covers]
+    def take_back(self) -> None:
+        """Drop all presses."""
+        self._unconfirmed.clear()
 
     @property
     def due_ns(self) -> int | None:
