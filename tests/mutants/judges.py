@@ -41,7 +41,7 @@ _WALKING: Final = _people("walking_robot walking_gait walking_balance ride clien
 _CYCLIC: Final = _robot("elkapod_wire elkapod_conductor power_conductor")
 
 JUDGES: Final = {
-    "gateway/model/frames.py": (*_model("frames"), *_tests("unit", "decode")),
+    "gateway/model/frames.py": (*_model("frames"), *_people("commands")),
     "gateway/model/elkapod.py": (*_model("bytes"), *_robot("elkapod_wire")),
     "gateway/robot/protocol/elkapod.py": _CYCLIC,
     "gateway/robot/spi/cyclic.py": _CYCLIC,
