@@ -136,21 +136,19 @@ class Live:
         client = self._connect()
         self._silence.opened(time.monotonic_ns())
         self.client = client
-        self._receiver.opened()
-        session, ring = client.session, zenoh.handlers.RingChannel
+        receiver, ring = self._receiver, zenoh.handlers.RingChannel
+        receiver.opened()
+        body = reads(BodyReport.model_validate_json, receiver.received_body)
         # Only the newest state counts, but every event.
-        self._read(session.declare_subscriber(keys.STATE, ring(2)), reads(client.states.join, self._take_state))
-        events = session.declare_subscriber(keys.EVENT, ring(KEPT_EVENTS))
-        self._read(events, reads(Event.model_validate_json, self._receiver.received_event))
-        body = reads(BodyReport.model_validate_json, self._receiver.received_body)
-        self._read(
-            session.declare_subscriber(keys.SIM_BODY, ring(2)),
-            lambda sample: body(sample) if is_of_physics(sample, self._physics) else None,
-        )
-        telemetry = reads(Telemetry.model_validate_json, self._receiver.received_telemetry)
-        self._read(session.declare_subscriber(keys.TELEMETRY, ring(2)), telemetry)
-        alive = session.liveliness().declare_subscriber(keys.ALIVE, ring(KEPT_EVENTS), history=True)
-        self._read(alive, lambda sample: self._receiver.received_token(sample.kind == zenoh.SampleKind.PUT))
+        for key, kept, take in (
+            (keys.STATE, 2, reads(client.states.join, self._take_state)),
+            (keys.EVENT, KEPT_EVENTS, reads(Event.model_validate_json, receiver.received_event)),
+            (keys.SIM_BODY, 2, lambda sample: body(sample) if is_of_physics(sample, self._physics) else None),
+            (keys.TELEMETRY, 2, reads(Telemetry.model_validate_json, receiver.received_telemetry)),
+        ):
+            self._read(client.session.declare_subscriber(key, ring(kept)), take)
+        alive = client.session.liveliness().declare_subscriber(keys.ALIVE, ring(KEPT_EVENTS), history=True)
+        self._read(alive, lambda sample: receiver.received_token(sample.kind == zenoh.SampleKind.PUT))
 
     def _read(self, subscriber: Any, take: Callable[[zenoh.Sample], None]) -> None:
         """Read a subscriber on a thread, until it is undeclared."""
