@@ -116,15 +116,8 @@ def test_a_certificate_without_a_role_commands_nothing(secured: Secured, role: s
         assert anna.reset().accepted
 
 
-def test_a_link_ends_when_its_certificate_expires(secured: Secured) -> None:
-    made = dt.datetime.now(dt.UTC) - dt.timedelta(days=1, seconds=-5)
-    with closing(zenoh.open(forged(secured, "operator-41", made))) as session:
-        assert list(session.get(keys.STATE))
-        wait_until(lambda: not session.info.links(), "its end", 60)
-        assert not list(session.get(keys.STATE, timeout=1))
-
-
 def test_a_client_whose_certificate_has_expired_says_so(secured: Secured, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The gateway ends the link when the certificate does."""
     made = dt.datetime.now(dt.UTC) - dt.timedelta(days=1, seconds=-5)
     monkeypatch.setattr(certs.folder, "now_utc", lambda: made)
     certs.folder.issue(secured.folder, "dora", "operator", days=1)
