@@ -51,7 +51,6 @@ class ServoMotion(NamedTuple):
 
     @property
     def key(self) -> str:
-        """The key of the servo's commands."""
         return keys.LEGS_COMMAND if self.holding else keys.servo_command(self.servo_id)
 
     def payload(self, op: str, angle_deg: float) -> dict[str, Any]:

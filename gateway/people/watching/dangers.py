@@ -123,7 +123,6 @@ class StopStatus:
         self._tries = 0
 
     def press(self, now_ns: int) -> None:
-        """A Stop key was pressed."""
         self.outcome = None
         if self.wanted_ns is None:
             self.wanted_ns = now_ns

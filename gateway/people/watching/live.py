@@ -105,7 +105,6 @@ class Live:
         self._subscribers: list[Any] = []
 
     def start(self) -> None:
-        """Start the threads, and begin to connect."""
         for loop in (self._open_at_last, self._ask_when_quiet, self._diagnose_when_silent):
             threading.Thread(target=loop, name=f"live {loop.__name__}", daemon=True).start()
 

@@ -56,7 +56,6 @@ class Silence:
         return self._is_older(now_ns, SILENT_MS)
 
     def must_diagnose(self, now_ns: int) -> bool:
-        """Return whether to diagnose the cause now."""
         return self.is_long(now_ns) and now_ns >= self._diagnose_ns
 
     def diagnosed(self, now_ns: int) -> None:

@@ -121,7 +121,6 @@ class Keypad:
         self._key = ""
 
     def velocity(self, now_s: float) -> Velocity:
-        """Return the velocity that the held keys command now."""
         if not self._key or now_s >= self._until_s:
             return STILL
         return _DIRECTIONS[self._key].times(self.speed_m_s)
