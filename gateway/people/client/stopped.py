@@ -41,9 +41,6 @@ class ReceivedEvent(NamedTuple):
     received_s: float
 
 
-UNKNOWN: Final = "the gateway, or somebody without a name,"
-
-
 def tells(event: Event) -> bool:
     """Return whether an event states why legs stop. `legs_stopped` does for a command; for the rest, another does."""
     return event.kind != Kind.LEGS_STOPPED or (event.cause == Cause.COMMAND and event.source is not None)
@@ -53,7 +50,9 @@ def sender(who: str | None, own_name: str, *, own: bool) -> str:
     """Return who sent a command, for people. `own`: this program did; another one may have its name."""
     if own:
         return f"{who} (this program)"
-    return f"another program named {who!r}" if who == own_name else who or UNKNOWN
+    if not who:
+        return "the gateway, or somebody without a name,"
+    return f"another program named {who!r}" if who == own_name else who
 
 
 def stopped_by(who: str | None, name: str, legs: Collection[int], at_s: float | None = None) -> StoppedError:
