@@ -124,8 +124,7 @@ class Lease:
         """Whether that name was proved by a certificate."""
 
     def __enter__(self) -> Self:
-        self.acquire()
-        return self
+        return self.acquire()
 
     def __exit__(self, *_: object) -> None:
         self.release()
@@ -169,8 +168,8 @@ class Lease:
 
     # ---- begin and end; `with` calls them
 
-    def acquire(self) -> None:
-        """Acquire it. Raises LeaseError if it is denied, DisconnectedError if no gateway answers. @private"""
+    def acquire(self) -> Self:
+        """Acquire and return it. Raises LeaseError if denied, DisconnectedError if no gateway answers. @private"""
         if self._renewal.holds is not Holds.NOT_YET:
             raise RuntimeError("a lease is used once; make a new one with `lease()`")
         if (other := self._client.carried_lease) is not None and other.held:
@@ -190,6 +189,7 @@ class Lease:
             self._end(Holds.RELEASED)
             self._give_back()
             raise
+        return self
 
     def release(self) -> None:
         """Give it back, if it is held. Without an answer it expires by itself. @private"""
@@ -352,8 +352,4 @@ def own_lease(client: DrivingClient) -> Lease | None:
 
     Raises LeaseError if somebody else drives, UnansweredError without an answer.
     """
-    if client.carried_lease is not None:
-        return None
-    lease = Lease(client)
-    lease.acquire()
-    return lease
+    return Lease(client).acquire() if client.carried_lease is None else None

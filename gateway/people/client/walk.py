@@ -398,9 +398,7 @@ class Walk:
                         self._awaited = None if ride.over else self._awaited  # it could not sit
             case RideTask.SEND:
                 if self._stream is None:
-                    stream = Stream(self._client, self._rate_hz)
-                    stream.open()
-                    self._stream = stream
+                    self._stream = Stream(self._client, self._rate_hz).open()
                 self._stream.set(step.pose)
                 if self._stream.answer is not None:  # to a start: newer than all published states
                     self._take(self._stream.answer)
@@ -415,9 +413,7 @@ class Walk:
         """Ask which legs run, before legs start or the walk resumes."""
         again, robot = ride.wants_again, ride.robot
         if again and self._lease is not None and self._lease.lost is not None:
-            lease = Lease(self._client)
-            lease.acquire()
-            self._lease = lease
+            self._lease = Lease(self._client).acquire()
         state = self._ask()
         if again and (why := stopped.unready(state, reset=self._client.reset_command)) is not None:
             raise why

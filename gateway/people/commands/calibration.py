@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from pydantic import ValidationError
 
-from gateway.errors import ConfigError, GatewayError, LeaseError, UnansweredError
+from gateway.errors import ConfigError, GatewayError, RejectedError, UnansweredError
 from gateway.files import durable
 from gateway.model.calibration import AS_DRAWN, ServoMapping, calibration_of, changed_servos
 from gateway.model.frames import centidegrees
@@ -162,10 +162,9 @@ def _change(client: Client, done: str, state: GatewayState, payload: Mapping[str
         ack = once_kept(client, payload)
         if ack.reason in (Reason.NOT_HOLDER, Reason.NO_LEASE):
             ack = _when_free(client, payload)
-    except LeaseError as error:
+        ack.or_raise()
+    except RejectedError as error:
         return reach.rejected(error)
-    if not ack.accepted:
-        return reach.rejected(ack)
     say(f"{done}: revision {client.calibration().revision}")
     if not state.calibration.kept:
         hint("The calibration is lost at the next boot: it is only in memory (state.path), or on a file system that")

@@ -69,7 +69,7 @@ def send(connect: Connection, kind: str, number: int, op: str, angles_deg: Seque
                     time.sleep(HOLD_PERIOD_S)
                     ack = client.ask(key, again)
                     if not ack.accepted:
-                        code = command_report(ack, "", client.state)
+                        code = reach.rejected(ack)
                 if code == 0 and moves:
                     _hint_watchdog(client.state().watchdog, hold_s)
         except LeaseError as error:

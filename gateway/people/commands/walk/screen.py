@@ -259,8 +259,7 @@ class WalkScreen:
 
     def _go_on(self) -> None:
         if not self._drives:
-            self._lease = self._client.lease(source=reach.me())  # the end of the client releases it
-            self._lease.acquire()
+            self._lease = self._client.lease(source=reach.me()).acquire()  # the end of the client releases it
         if self._client.state().mode == Mode.ESTOPPED:
             self._client.reset()
         self._walk.start_again()
