@@ -193,8 +193,7 @@ class Client:
         end_s = time.monotonic() + timeout_s
         while True:
             state = self.state(max(0.01, end_s - time.monotonic()))
-            error = stopped.unready(state, reset=self.reset_command)
-            if error is None:
+            if (error := stopped.unready(state, reset=self.reset_command)) is None:
                 return state
             if error.cause == Kind.ESTOP_ENGAGED or time.monotonic() + _POLL_S >= end_s:
                 raise error
@@ -375,8 +374,7 @@ class Client:
 
         Only one can be the gateway. Waits at most `wait_s` seconds for later replies. @private
         """
-        question = self._answered.get(key)
-        if question is None:
+        if (question := self._answered.get(key)) is None:
             return frozenset()
         question.wait_for_others(wait_s)
         return frozenset(question.answerers)

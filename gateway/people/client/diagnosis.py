@@ -129,8 +129,7 @@ def diagnose(endpoint: str, identity: Identity, end_s: float) -> Iterator[Findin
 
     Only the resolver may take longer: getaddrinfo has no timeout.
     """
-    parsed = _ENDPOINT.fullmatch(endpoint)
-    if parsed is None:
+    if (parsed := _ENDPOINT.fullmatch(endpoint)) is None:
         fix = f"dial it so, such as {DEFAULT_ENDPOINT}"
         yield Finding(Stage.ENDPOINT, "it is not tcp/HOST:PORT or tls/HOST:PORT", fix)
         return
@@ -194,8 +193,7 @@ def expired(identity: Identity) -> Finding | None:
 def own_expiry(config: zenoh.Config) -> str | None:
     """Return a warning if one of this machine's certificates expires soon; None if none does or can be read."""
     with suppress(ConfigError):
-        first = first_expiry(config)
-        if first is not None:
+        if (first := first_expiry(config)) is not None:
             return certs.expires_soon(first.file.name, first.end, dt.datetime.now(dt.UTC))
     return None
 

@@ -150,8 +150,7 @@ class Lease:
         Raises LeaseLostError if we no longer hold it, and LeaseError if `to` has not asked.
         """
         self.check()
-        token = self.token
-        if token is None:
+        if (token := self.token) is None:
             raise LeaseError(Reason.NOT_HOLDER, "this lease is not held")
         with self._giving:
             self._renewal.gives = True

@@ -8,6 +8,7 @@ import base64
 import json
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol, Self, TypeVar, cast
@@ -247,8 +248,7 @@ class Button:
                     raise
                 self._ends_s = time.monotonic() + LIFE / 10 * self.timeout_ms / 1000
         self._count += 1
-        timeout_s = self.timeout_ms / 1000 or None
-        return self._requests.check_in(self._token, self._count, timeout_s=timeout_s).or_raise()
+        return self._requests.check_in(self._token, self._count, timeout_s=self.timeout_ms / 1000 or None).or_raise()
 
     def press(self) -> Ack:
         """Engage the emergency stop in the button's name; see `Client.estop`."""
@@ -258,7 +258,5 @@ class Button:
         """End the registration; the robot stops if too few buttons remain. @private"""
         token, self._token = self._token, None
         if token is not None:
-            try:
+            with suppress(DisconnectedError):  # the registration expires
                 self._requests.leave(token, self.timeout_ms / 1000 or None)
-            except DisconnectedError:
-                return  # the registration expires

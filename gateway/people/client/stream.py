@@ -191,8 +191,7 @@ class Stream:
         if (thinned := pace.thins(self._hz, state.limits.leg_rate_hz)) is not None:
             warnings.warn(thinned, stacklevel=3)
         self._doubt = pace.Doubt(watchdog_s)
-        states, events = weakly(self._receive_state), weakly(self._receive_event)
-        self._subscribers = [client.on_state(states), client.on_event(events)]
+        self._subscribers = [client.on_state(weakly(self._receive_state)), client.on_event(weakly(self._receive_event))]
         self._open = True
         client.open_parts[self] = None
         return self
@@ -252,8 +251,7 @@ class Stream:
                 self._raise(error)
 
     def _publish(self, angles: LegAngles) -> None:
-        payload = {"source": self._client.name, "legs": setpoints("set", angles)}
-        self._client.publish(keys.LEGS_COMMAND, payload)
+        self._client.publish(keys.LEGS_COMMAND, {"source": self._client.name, "legs": setpoints("set", angles)})
         self._sent = {**self._sent, **angles}
         self._doubt.sent(time.monotonic())
 
@@ -444,8 +442,7 @@ class Stream:
         )
 
     def _stopped_legs(self, state: GatewayState) -> frozenset[int]:
-        stopped = {each.leg for each in state.legs if not all(servo.running for servo in each.servos)}
-        return self._started & stopped
+        return self._started & {each.leg for each in state.legs if not all(servo.running for servo in each.servos)}
 
     def _stopped(self, state: GatewayState) -> StoppedError:
         legs = self._stopped_legs(state)

@@ -38,10 +38,8 @@ def export(connect: Connection) -> int:
 
 def import_file(connect: Connection, file: Path, *, agreed: bool) -> int:
     """Send a file's whole calibration; ask first unless `agreed`. Returns the exit code. Raises ConfigError."""
-    text = _read(file)
     try:
-        found = wire.Calibration.model_validate_json(text)
-        wanted = calibration_of(found)
+        wanted = calibration_of(wire.Calibration.model_validate_json(_read(file)))
     except ValueError as error:  # pydantic's, and CalibrationError
         why = _faults(error) if isinstance(error, ValidationError) else error
         raise ConfigError(f"{file} is not a calibration as `calibrate export` prints it: {why}") from error
@@ -174,8 +172,7 @@ def _change(client: Client, done: str, state: GatewayState, payload: Mapping[str
 
 def _when_free(client: Client, payload: Mapping[str, Any]) -> Ack:
     """Change it once the driver has handed over or ended. Raises LeaseError after WAIT_S."""
-    holder = client.state().lease.holder
-    if holder is not None:
+    if (holder := client.state().lease.holder) is not None:
         hint(f"{holder} drives, and is asked for the lease. The change is written when the lease is free; the")
         hint(f"servos may be stopped by then. Waiting for up to {WAIT_S:g} s.")
     with client.lease(wait_s=WAIT_S, source=reach.me()):

@@ -81,8 +81,7 @@ def ready(client: Client) -> GatewayState:
     if state.mode != Mode.IDLE:
         remedy = remedies.get(str(state.mode), "wait until it is idle")
         raise ConfigError(f"the gateway is {state.mode}, and nothing is moved: {remedy}")
-    holder = state.lease.holder
-    if holder is not None:
+    if (holder := state.lease.holder) is not None:
         wait = f"wait until the lease is released ({command('status --follow')})"
         raise ConfigError(f"{visible(holder)} drives, and nothing is moved: {wait}")
     return state

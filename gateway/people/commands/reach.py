@@ -78,8 +78,7 @@ def rejected(error: RejectedError | Ack) -> int:
 
 def warn_of_others(client: Client, key: str, say: Callable[[str], object]) -> None:
     """Call `say` with a warning if several programs answered the latest question on `key`."""
-    count = len(client.answerers(key, _OTHERS_S))
-    if count > 1:
+    if (count := len(client.answerers(key, _OTHERS_S))) > 1:
         say(
             f"{count} programs answer on {key}, and only one of them is the gateway; "
             "certificates keep others out (docs/certificates.md)"

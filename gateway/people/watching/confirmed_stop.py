@@ -126,13 +126,11 @@ class ConfirmedStop(Generic[P, W]):
             self._again_ns = now_ns + AGAIN_NS
         for press in covered:
             press.attempts += 1
-            press.over = answered or self._is_too_late(press)
+            is_too_late = self._lasts_ns is not None and self._again_ns - press.pressed_ns > self._lasts_ns
+            press.over = answered or is_too_late
             if press.over:
                 self._unconfirmed.remove(press)
         return covered
-
-    def _is_too_late(self, press: Press[P, W]) -> bool:
-        return self._lasts_ns is not None and self._again_ns - press.pressed_ns > self._lasts_ns
 
 
 class UntilConfirmed:

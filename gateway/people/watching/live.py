@@ -151,11 +151,10 @@ class Live:
 
     def _read(self, subscriber: Any, take: Callable[[zenoh.Sample], None]) -> None:
         """Read a subscriber on a thread, until it is undeclared."""
-        handler = subscriber.handler
 
         def read() -> None:
             with suppress(zenoh.ZError):  # the channel is closed
-                for sample in handler:
+                for sample in subscriber.handler:
                     take(sample)
 
         self._subscribers.append(subscriber)
