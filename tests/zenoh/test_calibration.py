@@ -167,8 +167,7 @@ def test_no_stop_waits_for_a_disk_that_hangs(tmp_path: Path) -> None:
     ):
         asking = threading.Thread(target=lambda: answers.append(patient.calibrate(TRIM, check=False)))
         asking.start()
-        rejected = until_it_is_being_kept(client)
-        assert rejected.reason == Reason.SERVO_STOPPED
+        assert until_it_is_being_kept(client).reason == Reason.SERVO_STOPPED
         assert client.start_leg(1, 90, 90, 90).accepted
         assert client.estop().stop_frames == 6
         assert client.reset().accepted

@@ -212,16 +212,13 @@ async def test_a_client_that_is_not_open_states_what_to_do() -> None:
 async def test_a_stop_does_not_wait_behind_questions_and_closing_waits_for_it(gateway: Gateway) -> None:
     answered, order = threading.Event(), list[str]()
 
-    def question() -> None:
-        answered.wait(10)
-
     def stop() -> None:
         answered.wait(10)
         order.append("stopped")
 
     async with AsyncClient(gateway.endpoint, timeout_s=5) as client:
         calls = client._calls
-        pending = [asyncio.create_task(calls.run(question)) for _ in range(40)]
+        pending = [asyncio.create_task(calls.run(lambda: answered.wait(10))) for _ in range(40)]
         await asyncio.sleep(0)  # now all are asked
         async with asyncio.timeout(5):
             assert (await client.stop(3)).accepted

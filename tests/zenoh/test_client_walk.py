@@ -116,12 +116,8 @@ def test_after_stops_of_others_it_goes_on_as_the_robot_then_is_and_an_error_of_t
         assert watcher.state().lease.holder == "walker"
         raise ZeroDivisionError
 
-    def leaves() -> None:
-        with robot.walk() as walk:
-            program(walk)
-
-    with pytest.raises(ZeroDivisionError):
-        leaves()
+    with pytest.raises(ZeroDivisionError), robot.walk() as walk:
+        program(walk)
     assert watcher.state().mode == Mode.IDLE
     assert watcher.state().lease.holder is None
 
@@ -170,8 +166,7 @@ def poses() -> tuple[dict[int, float], dict[int, float]]:
         wanted()
         for _ in range(500):
             engine.step(STILL, 0.02)
-        pose = engine.pose
-        found.append({10 * leg + joint: at for leg in LEGS for joint, at in zip(JOINTS, pose[leg], strict=True)})
+        found.append({10 * leg + joint: at for leg in LEGS for joint, at in zip(JOINTS, engine.pose[leg], strict=True)})
     stood, seated = found
     return stood, seated
 
@@ -235,11 +230,6 @@ DELAY_S = 0.3
 """In each direction. A client that asks twice before it goes on is silent for longer than the watchdog waits."""
 
 
-def walks_on(walk: Walk) -> None:
-    while True:
-        walk.go(forward_m_s=0.03)
-
-
 def test_the_other_legs_of_a_walk_keep_running(tmp_path: Path) -> None:
     with (
         Gateway(tmp_path, patient(WATCHDOG_MS)) as gateway,
@@ -252,7 +242,7 @@ def test_the_other_legs_of_a_walk_keep_running(tmp_path: Path) -> None:
         walk.stand()
         watcher.stop(3)
         with pytest.raises(StoppedError, match="watcher stopped leg 3") as stopped:
-            walks_on(walk)
+            walks(walk, 10_000, forward_m_s=0.03)
         assert stopped.value.legs == (3,)
         answered = robot.state(), robot.state()  # twice the way there and back, longer than the watchdog's timeout
         assert [leg.leg for leg in answered[-1].legs if leg.running] == [1, 2, 4, 5, 6]

@@ -255,12 +255,12 @@ class Stream:
         self._sent = {**self._sent, **angles}
         self._doubt.sent(time.monotonic())
 
-    def _hold(self, error: GatewayError) -> frozenset[int]:
-        """Repeat the angles of the legs that this error leaves running, if it stopped single legs. Return these legs.
+    def _hold(self, error: StoppedError) -> frozenset[int]:
+        """Repeat the angles of the legs that this error leaves running. Return these legs.
 
         The gateway rejects a message that names a stopped leg as a whole, so the others are near their watchdog.
         """
-        left = self._started - frozenset(error.legs) if isinstance(error, StoppedError) else frozenset()
+        left = self._started - frozenset(error.legs)
         if left:
             with suppress(ZenohError):
                 self._publish({leg: self._sent[leg] for leg in left})

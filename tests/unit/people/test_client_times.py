@@ -359,8 +359,7 @@ def test_the_interface_of_a_link_local_address_is_zenohs(endpoint: str, dialled:
 
 def test_a_name_of_a_link_local_address_needs_an_interface(monkeypatch: pytest.MonkeyPatch) -> None:
     """A name server's answer has none, and Zenoh connects nowhere. With `#iface=` it dials the name."""
-    at = ("fe80::1", 7447, 0, 0)
-    found = [(socket.AF_INET6, socket.SOCK_STREAM, 6, "", at)]
+    found = [(socket.AF_INET6, socket.SOCK_STREAM, 6, "", ("fe80::1", 7447, 0, 0))]
     monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: found)
     *_, last = diagnose("tcp/robot.lan:7447", Identity(), time.monotonic() + 1)
     assert last.sentence == "robot.lan is fe80::1, which each network interface has for itself"

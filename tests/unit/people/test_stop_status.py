@@ -104,8 +104,7 @@ def test_an_answer_to_an_earlier_press_leaves_the_later_one_to_its_own() -> None
 @pytest.mark.parametrize("is_bad", [True, False])
 def test_what_a_small_terminal_shows(columns: int, rows: int, is_bad: bool) -> None:
     """Its Stop key in the last row; but a Stop that is not confirmed goes before all else."""
-    picture = fitted([Text("猫 and more")] * 30, columns, rows, Remark("NOT STOPPED", is_bad))
-    shown = picture.plain.split("\n")
+    shown = fitted([Text("猫 and more")] * 30, columns, rows, Remark("NOT STOPPED", is_bad)).plain.split("\n")
     assert len(shown) == rows
     assert max(map(cell_len, shown)) <= columns
     alarm, keys = " NOT STOPPED "[:columns], " SPACE or ESC: EMERGENCY STOP "[:columns]
@@ -311,10 +310,6 @@ class Stop(ConfirmedStop[str, str]):
         return request
 
 
-def ids(presses: list[AnyPress]) -> list[int | None]:
-    return [press.id for press in presses]
-
-
 def test_a_press_is_asked_for_at_once_and_confirmed_by_its_answer() -> None:
     stop = Stop()
     assert (stop.due_ns, stop.since_ns, stop.begin(5)) == (None, None, None)
@@ -344,7 +339,7 @@ def test_a_page_that_leans_on_it_keeps_its_newest_and_takes_nothing_from_others(
     for number in range(10 * MAX_PRESSES):
         stop.presses(number)
     confirmed = stop.ended(stop.begins(), 1, answered=True)
-    assert ids(confirmed) == [1, *range(9 * MAX_PRESSES, 10 * MAX_PRESSES)]
+    assert [press.id for press in confirmed] == [1, *range(9 * MAX_PRESSES, 10 * MAX_PRESSES)]
 
 
 class AnyOrder(RuleBasedStateMachine):

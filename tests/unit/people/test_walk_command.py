@@ -290,8 +290,7 @@ def at(x_m: float, y_m: float = 0.0, heading_rad: float = 0.0) -> WalkState:
 def test_ahead_is_where_it_looks_and_it_slows_down_gently_before_the_end() -> None:
     distance = Distance(0.1, turns=False)
     assert distance.next(at(1.0, 2.0, 1.0), 0.0) == Velocity(forward_m_s=0.08)
-    near = at(1.0 + 0.098 * math.cos(1.0), 2.0 + 0.098 * math.sin(1.0), 1.0)
-    velocity = distance.next(near, 1.0)
+    velocity = distance.next(at(1.0 + 0.098 * math.cos(1.0), 2.0 + 0.098 * math.sin(1.0), 1.0), 1.0)
     assert velocity is not None
     assert velocity.forward_m_s == pytest.approx(math.sqrt(SLEW_M_S2 * 0.002)), "half of what the engine can"
     assert distance.next(at(1.0 + 0.1 * math.cos(1.0), 2.0 + 0.1 * math.sin(1.0), 1.0), 2.0) is None
