@@ -61,8 +61,11 @@ def test_anothers_answer_is_better_than_none_in_the_end() -> None:
     assert patience.step(ATTEMPT_S) is QuestionStep.AGAIN
     patience.replied(query, "foreign", own=False)
     patience.replied(query, "later", own=False)
-    assert patience.step(END_S) is QuestionStep.OVER
-    assert patience.answer == "foreign"
+    assert (patience.step(END_S), patience.answer) == (QuestionStep.OVER, "foreign")
+    declined, query = asked()
+    declined.replied(query, "foreign", own=False)
+    declined.ended(query, 0.1)
+    assert (declined.step(0.1), declined.answer) == (QuestionStep.OVER, "foreign"), "all have answered or declined"
 
 
 def test_a_stop_without_an_answer_is_sent_again_each_second_until_its_end() -> None:

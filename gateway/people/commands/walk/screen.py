@@ -269,8 +269,7 @@ class WalkScreen:
 
     def _drive(self) -> None:
         if self._height_m is not None:
-            height_m = self._height_m
-            self._todo.put(lambda: self._walk.stand(height_m))
+            self._todo.put(lambda: self._walk.stand(self._height_m))
         while not self._driven.is_set():
             try:
                 if not self._todo.empty():
