@@ -320,14 +320,10 @@ class Engine:
             part = max(swing.part, 0.5) if height_m else 1.0
         if swing.met_now(touches) and not swing.met:
             state.lateness = state.lateness.after(swing.late_s or (part - 1.0) * gait.swing_s)
-        swing = swing._replace(left=left, part=part)
-        lag_s = state.lateness.median_s if state.lateness.median_s > balance.CERTAIN_S else 0.0
-        ends = swing.down(height_m, state.feet[leg][2], touches, seconds, state.waits_s, lag_s)
-        state.feet[leg] = x, y, ends.height_m
-        if ends.swing is not None:
-            state.swings[leg] = ends.swing
-            return
-        state.landed(leg, touches, ends, velocity if velocity.moves else self.commanded)
+        state.feet[leg] = x, y, state.feet[leg][2]
+        if state.lower(leg, swing._replace(left=left, part=part), height_m, touches, seconds):
+            over = velocity if velocity.moves else self.commanded
+            state.over = over if over.moves else state.over
 
     def _is_due(self, leg: int, clock: float) -> bool:
         return gaits.phase(self._quick, leg, clock + transitions.ALMOST) < (1 - self._quick.duty) / 2

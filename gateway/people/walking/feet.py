@@ -26,47 +26,9 @@ class Swing(NamedTuple):
     trail: tuple[tuple[float, float], ...] = ()
     """Its latest ticks, the newest first: how long ago (seconds), and the foot's height (metres)."""
 
-    def down(
-        self, height_m: float, now_m: float, touches: bool | None, seconds: float, waits_s: float, lag_s: float
-    ) -> "Descent":
-        """Return the descent a tick later. `height_m`: by the gait; `now_m`: of the foot; `touches`: None if unknown.
-
-        The foot waits `waits_s` for its contact before it goes on down, and longer at the lowest point. A contact is
-        reported `lag_s` late: the ground is where the foot was at contact.
-        """
-        before = (at_m for ago_s, at_m in self.trail if ago_s >= lag_s - ALMOST)
-        met_m = next(before, now_m) if lag_s else now_m
-        if self.met_now(touches) and (self.late_s or (self.part > 0.5 and met_m > balance.EARLY_M)):
-            return Descent(now_m, rises_m=max(0.0, met_m - now_m - _PRESSED_M))
-        trail = ((ago_s + seconds, at_m) for ago_s, at_m in self.trail if ago_s < balance.LATE_S)
-        swing = self._replace(
-            free=self.free or touches is False,
-            met=self.met or self.met_now(touches),
-            trail=() if touches is None else ((seconds, now_m), *trail),
-        )
-        if self.part <= 1.0 - ALMOST:
-            return Descent(height_m, swing)
-        if not swing.free or touches is not False:
-            return Descent(now_m if self.late_s else 0.0)
-        if self.late_s > waits_s + balance.DEEPEST_M / balance.SINKS_M_S + balance.LATE_S:
-            return Descent(now_m, hangs=True)
-        lower_m = max(-balance.DEEPEST_M, now_m - balance.SINKS_M_S * seconds) if self.late_s > waits_s else 0.0
-        return Descent(lower_m, swing._replace(late_s=self.late_s + seconds))
-
     def met_now(self, touches: bool | None) -> bool:
         """Return whether the foot is felt on the ground after it was in the air."""
         return self.free and touches is True
-
-
-class Descent(NamedTuple):
-    """The foot's height, and its swing unless it has come down."""
-
-    height_m: float
-    swing: Swing | None = None
-    hangs: bool = False
-    """Whether the foot found no ground as far down as it may go."""
-    rises_m: float = 0.0
-    """How far (metres) the foot went too deep before its contact was reported."""
 
 
 @dataclass(slots=True)
@@ -102,15 +64,46 @@ class State(Figure):
         new.swings, new.rests, new.rises = dict(self.swings), dict(self.rests), dict(self.rises)
         return new
 
-    def landed(self, leg: int, touches: bool | None, ends: Descent, over: Velocity) -> None:
-        """End a swing. `touches`: whether its foot is felt on the ground; `over`: the velocity, if it hangs."""
-        swing = self.swings.pop(leg)
+    def lower(self, leg: int, swing: Swing, height_m: float, touches: bool | None, seconds: float) -> bool:
+        """Take a foot in the air a tick further. Return whether it hangs: found no ground as far down as it may go.
+
+        `height_m`: its height by the gait; `touches`: whether it is felt on the ground, None if unknown. The foot waits
+        `waits_s` for its contact before it goes on down, and longer at the lowest point. A contact is reported as late
+        as the sensors are: the ground is where the foot was at contact.
+        """
+        x, y, now_m = self.feet[leg]
+        lag_s = self.lateness.median_s if self.lateness.median_s > balance.CERTAIN_S else 0.0
+        before = (at_m for ago_s, at_m in swing.trail if ago_s >= lag_s - ALMOST)
+        met_m = next(before, now_m) if lag_s else now_m
+        if swing.met_now(touches) and (swing.late_s or (swing.part > 0.5 and met_m > balance.EARLY_M)):
+            self.rises[leg] = max(0.0, met_m - now_m - _PRESSED_M)
+            self._land(leg, swing, touches)
+            return False
+        trail = ((ago_s + seconds, at_m) for ago_s, at_m in swing.trail if ago_s < balance.LATE_S)
+        self.swings[leg] = swing = swing._replace(
+            free=swing.free or touches is False,
+            met=swing.met or swing.met_now(touches),
+            trail=() if touches is None else ((seconds, now_m), *trail),
+        )
+        if swing.part <= 1.0 - ALMOST:
+            self.feet[leg] = x, y, height_m
+        elif not swing.free or touches is not False:
+            self.feet[leg] = x, y, now_m if swing.late_s else 0.0
+            self._land(leg, swing, touches)
+        elif swing.late_s > self.waits_s + balance.DEEPEST_M / balance.SINKS_M_S + balance.LATE_S:
+            self.hanging |= {leg}
+            self._land(leg, swing, touches)
+            return True
+        else:
+            sunk_m = max(-balance.DEEPEST_M, now_m - balance.SINKS_M_S * seconds)
+            self.feet[leg] = x, y, sunk_m if swing.late_s > self.waits_s else 0.0
+            self.swings[leg] = swing._replace(late_s=swing.late_s + seconds)
+        return False
+
+    def _land(self, leg: int, swing: Swing, touches: bool | None) -> None:
+        del self.swings[leg]
         if swing.met_now(touches) and swing.late_s <= balance.LATE_S:  # it was no hole
             self.waits_s = max(swing.late_s, balance.WAIT_FORGOTTEN * self.waits_s)
-        if ends.rises_m:
-            self.rises[leg] = ends.rises_m
-        if ends.hangs:
-            self.hanging, self.over = self.hanging | {leg}, over if over.moves else self.over
 
     def goes_over(self, velocity: Velocity) -> bool:
         """Return whether this velocity leads further over an edge. The way back is allowed."""

@@ -12,8 +12,8 @@ from typing import Final
 
 from gateway.errors import WalkError
 from gateway.geometry import Geometry
-from gateway.geometry.kinematics import Vector, about, from_rpy, plus
-from gateway.people.walking.motion import Matrix, apply, back, matrix, scaled
+from gateway.geometry.kinematics import Vector, about, from_rpy, plus, rotated
+from gateway.people.walking.motion import Matrix, apply, matrix, scaled
 
 Angles = tuple[float, float, float]
 """The angles of a leg's joints 1, 2 and 3; in radians here, in degrees for servos."""
@@ -31,9 +31,9 @@ _PARALLEL: Final = 1e-12
 class LegPositions:
     """The positions of a leg's parts in the body's frame: for the foot, its derivative and the masses."""
 
-    joints_m: tuple[Vector, Vector, Vector]
+    joints_m: tuple[Vector, ...]
     foot_m: Vector
-    axes: tuple[Vector, Vector, Vector]
+    axes: tuple[Vector, ...]
 
 
 class Limb:
@@ -43,55 +43,46 @@ class Limb:
         """Raises WalkError for a chain without the module's shape."""
         self.leg = leg
         mount = geometry.leg_mounts[leg]
-        self._mount_m = mount.xyz_m
-        self._mount_turn = matrix(from_rpy((0.0, 0.0, mount.yaw_rad)))
-        self._origins_m = tuple(joint.origin_xyz_m for joint in geometry.joints)
-        self._turns = tuple(matrix(from_rpy(joint.origin_rpy_rad)) for joint in geometry.joints)
-        self._axes = tuple(joint.axis for joint in geometry.joints)
+        self._mount = mount.xyz_m, matrix(from_rpy((0.0, 0.0, mount.yaw_rad)))
+        self._joints = [
+            (each.origin_xyz_m, matrix(from_rpy(each.origin_rpy_rad)), each.axis) for each in geometry.joints
+        ]
         self._tip_m = geometry.foot.origin_xyz_m
-        self._limits_rad = tuple(joint.limits_rad for joint in geometry.joints)
+        (low, high), _, (knee_low, knee_high) = (each.limits_rad for each in geometry.joints)
+        self._middle_rad = (low + high) / 2
         # The leg as a turntable and two rods in a plane, whose points are complex numbers.
-        first, second, third = self._turns
-        one = apply(first, self._axes[0])
-        two = apply(second, self._axes[1])
-        three = apply(second, apply(third, self._axes[2]))
-        upright = abs(one[2]) > math.cos(_OFF)
-        across = abs(dot(self._axes[0], two)) < math.sin(_OFF)
-        side = 1.0 if dot(two, three) > 0 else -1.0
-        parallel = side * dot(two, three) > math.cos(_OFF)
+        straight = self.forward((0.0, 0.0, 0.0))
+        self._first_m, self._second_m, third_m = straight.joints_m
+        self._upright, self._across, three = straight.axes
+        self._side = 1.0 if dot(self._across, three) > 0 else -1.0
+        upright = abs(self._upright[2]) > math.cos(_OFF)
+        across = abs(dot(self._upright, self._across)) < math.sin(_OFF)
+        parallel = self._side * dot(self._across, three) > math.cos(_OFF)
         if not (upright and across and parallel):
             raise WalkError(
                 f"leg {leg}: joint 1 must turn about the mount's z axis, and joints 2 and 3 about parallel axes "
                 "across it; for another chain there is no walking"
             )
-        self._side = side
-        other = (1.0, 0.0, 0.0) if abs(self._axes[1][0]) < 0.9 else (0.0, 1.0, 0.0)
-        along = minus(other, scaled(self._axes[1], dot(other, self._axes[1])))
+        along = cross(self._across, self._upright)
         self._along = scaled(along, 1 / math.sqrt(dot(along, along)))
-        self._upward = cross(self._axes[1], self._along)
-        self._femur = self._in_plane(self._origins_m[2])
-        self._tibia = self._in_plane(apply(third, self._tip_m))
-        self._aside_m = dot(self._origins_m[1], two) + dot(
-            plus(self._origins_m[2], apply(third, self._tip_m)), self._axes[1]
-        )
-        self._across = two
-        low, high = self._limits_rad[2]
+        self._upward = cross(self._across, self._along)
+        self._femur = self._in_plane(minus(third_m, self._second_m))
+        self._tibia = self._in_plane(minus(straight.foot_m, third_m))
+        self._aside_m = dot(minus(straight.foot_m, self._first_m), self._across)
         offset = cmath.phase(self._tibia / self._femur)
-        self._bend = 1.0 if side * (low + high) / 2 + offset > 0 else -1.0
+        self._bend = 1.0 if self._side * (knee_low + knee_high) / 2 + offset > 0 else -1.0
 
     def forward(self, joints_rad: Angles) -> LegPositions:
         """Return the positions of the joints and the foot in the body's frame. `joints_rad`: in radians."""
-        turn, at_m = self._mount_turn, self._mount_m
+        at_m, turn = self._mount
         joints_m, axes = [], []
-        for origin_m, fixed, axis, angle in zip(self._origins_m, self._turns, self._axes, joints_rad, strict=True):
+        for (origin_m, fixed, axis), angle in zip(self._joints, joints_rad, strict=True):
             at_m = plus(at_m, apply(turn, origin_m))
             turn = product(turn, fixed)
             joints_m.append(at_m)
             axes.append(apply(turn, axis))
             turn = spun(turn, axis, angle)
-        first, second, third = joints_m
-        one, two, three = axes
-        return LegPositions((first, second, third), plus(at_m, apply(turn, self._tip_m)), (one, two, three))
+        return LegPositions(tuple(joints_m), plus(at_m, apply(turn, self._tip_m)), tuple(axes))
 
     def inverse(self, foot_m: Vector) -> Angles:
         """Return the joint angles (radians) for this foot position. Raises WalkError if the leg does not reach it."""
@@ -110,22 +101,17 @@ class Limb:
         return complex(dot(vector, self._along), dot(vector, self._upward))
 
     def _guess(self, foot_m: Vector) -> Angles:
-        from_mount = back(self._mount_turn, minus(foot_m, self._mount_m))
-        level = back(self._turns[0], minus(from_mount, self._origins_m[0]))
-        axis = self._axes[0]
-        up = dot(level, axis)
-        out = minus(level, scaled(axis, up))
+        level = minus(foot_m, self._first_m)
+        out = minus(level, scaled(self._upright, dot(level, self._upright)))
         square = dot(out, out)
+        first = 0.0
         if square > _PARALLEL:
             aside = math.acos(max(-1.0, min(1.0, self._aside_m / math.sqrt(square))))
-            bearing = math.atan2(dot(axis, cross(self._across, out)), dot(self._across, out))
+            bearing = math.atan2(dot(self._upright, cross(self._across, out)), dot(self._across, out))
             choices = (wrapped(bearing - aside), wrapped(bearing + aside))
-            low, high = self._limits_rad[0]
-            first = min(choices, key=lambda angle: abs(angle - (low + high) / 2))
-        else:
-            first = 0.0
-        straight = apply(spun(_UNTURNED, axis, -first), level)
-        span = self._in_plane(back(self._turns[1], minus(straight, self._origins_m[1])))
+            first = min(choices, key=lambda angle: abs(angle - self._middle_rad))
+        straight = rotated(about(self._upright, -first), level)
+        span = self._in_plane(minus(straight, minus(self._second_m, self._first_m)))
         femur_m, tibia_m = abs(self._femur), abs(self._tibia)
         distance_m = abs(span)
         cosine = (distance_m**2 - femur_m**2 - tibia_m**2) / (2 * femur_m * tibia_m)
@@ -158,8 +144,6 @@ def _improved(angles: Angles, positions: LegPositions, off_m: Vector) -> Angles:
 
 
 # ---- vectors and rotations
-
-_UNTURNED: Final[Matrix] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 def minus(first: Vector, second: Vector) -> Vector:
