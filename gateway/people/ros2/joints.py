@@ -7,10 +7,9 @@ from itertools import product
 from typing import Any, Final
 
 from gateway.geometry import Geometry, joint_name
+from gateway.people.walking.inverse import Angles
 from schemas.robot import JOINTS, LEGS, MAX_DEG, SERVO_IDS
 
-Degrees = tuple[float, float, float]
-"""The degrees of a leg's joints 1, 2 and 3."""
 _PATTERN: Final = re.compile(r"(\{leg\}|\{joint\}|[\w./-]){1,64}", re.ASCII)
 
 
@@ -76,7 +75,7 @@ def check_reach(geometry: Geometry, at_rad: Mapping[int, float]) -> None:
             )
 
 
-def legs_deg(geometry: Geometry, at_rad: Mapping[int, float]) -> dict[int, Degrees]:
+def legs_deg(geometry: Geometry, at_rad: Mapping[int, float]) -> dict[int, Angles]:
     """Return leg → degrees of its servos, clamped to 0 to 180."""
     deg = {name: min(max(geometry.servos[name].servo_deg(at), 0.0), MAX_DEG) for name, at in at_rad.items()}
     return {leg: (deg[10 * leg + 1], deg[10 * leg + 2], deg[10 * leg + 3]) for leg in LEGS if 10 * leg + 1 in deg}

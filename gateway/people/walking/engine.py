@@ -221,8 +221,8 @@ class Engine:
             self._next_gait = None
             # No velocity would lift feet that the former gait left outside of this gait's discs.
             outside = any(math.dist(state.feet[leg], rest) > self._within_m for leg, rest in self.stance.feet.items())
-            if outside and not state.sits:
-                state.moves, state.rests, state.part = self._planner.way(state, self.stance), {}, 0.0
+            if outside and not state.sits and not self._wanted:
+                self.stand()
         if self._wanted:
             wanted = self._wanted.popleft()
             self.stance = wanted or self.stance

@@ -136,10 +136,8 @@ class Planner:
 
     def _folded(self, pose: Pose) -> Iterator[Move]:
         """Yield moves, three legs at a time, to the pose of a lying robot."""
-        rest = self._rest.pose
-        first, second = TRIPODS
-        yield Bend({leg: (pose[leg], rest[leg]) for leg in first})
-        yield Bend({leg: (pose[leg], rest[leg]) for leg in second}, then=self._rest.body)
+        for tripod, then in zip(TRIPODS, (None, self._rest.body), strict=True):
+            yield Bend({leg: (pose[leg], self._rest.pose[leg]) for leg in tripod}, then)
 
     # ---- whether one works
 

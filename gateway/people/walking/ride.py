@@ -22,6 +22,7 @@ carries out the result, and reports the outcome: `sent`, `found`, `stopped`, `fa
 """
 
 import math
+from collections.abc import Mapping
 from enum import Enum, auto
 from typing import Final, NamedTuple
 
@@ -34,10 +35,6 @@ from gateway.people.walking.robot import Pose, Robot, Stance
 from schemas.robot import LEGS
 from schemas.telemetry import Telemetry
 
-HOLD_S: Final = 0.5
-"""After this time a velocity no longer counts, as in diff_drive_controller and twist_mux."""
-REST_S: Final = 10.0
-"""After this time without a command the robot sits: servos that hold a robot up get hot."""
 START_PAUSE_S: Final = 0.015
 """The least pause between the starts of two legs, when servos draw most: a tick of 50 Hz, less its jitter."""
 GIVES_UP_S: Final = 2.0
@@ -48,10 +45,10 @@ _ALL: Final = frozenset(LEGS)
 class Silences(NamedTuple):
     """How many seconds each kind of silence may last."""
 
-    hold_s: float = HOLD_S
-    """After a command. Then the robot stands, and the command's press is used up."""
-    rest_s: float = REST_S
-    """After a command, while the robot stands. Then the robot sits down and is stopped."""
+    hold_s: float = 0.5
+    """After a command. Then the robot stands, and its press is used up; as in diff_drive_controller and twist_mux."""
+    rest_s: float = 10.0
+    """After a command. A robot that stands then sits down and is stopped: servos that hold it up get hot."""
     idle_s: float = math.inf
     """After a press, or a wish that moves, although wishes continue. Then the robot sits down as well."""
     halted_s: float = math.inf
@@ -98,14 +95,11 @@ class RideTask(Enum):
     """Stop the ride's legs, and call `ended`."""
 
 
-_NO_LEGS: Final[Pose] = {}
-
-
 class RideStep(NamedTuple):
     """The next task, and when to call `next` again at the latest (monotonic seconds)."""
 
     do: RideTask
-    pose: Pose = _NO_LEGS
+    pose: Mapping[int, Angles] = {}
     wake_s: float = math.inf
 
 
@@ -237,7 +231,7 @@ class Ride:
         self.apply_silences(now_s)
         if self.wants_again:
             return RideStep(RideTask.STOP if self.phase is Phase.FAILED and self._ours else RideTask.FIND)
-        pose = _NO_LEGS
+        pose: Pose = {}
         if self.phase in (Phase.RUNS, Phase.HALTED):
             pose = self._tick(now_s, telemetry)
             self.apply_silences(now_s)  # it may have sat down by this tick

@@ -15,14 +15,14 @@ from gateway.people.walking.motion import BodyPose
 from schemas.calibration import Calibration
 from schemas.config import LimitsReport, ServoLimitsReport
 from schemas.gateway_state import GatewayState
-from schemas.robot import JOINTS, LEGS, SERVO_IDS
+from schemas.robot import JOINTS, LEGS, MAX_DEG, SERVO_IDS
 
 
 class Range(NamedTuple):
     """The range of one servo in degrees, as commanded, and its speed."""
 
     min_deg: float = 0.0
-    max_deg: float = 180.0
+    max_deg: float = MAX_DEG
     max_speed_deg_s: float = math.inf
 
     def within(self, other: "Range") -> "Range":
@@ -214,8 +214,8 @@ class Robot:
         """Return the range that both the servo and the joint allow."""
         servo = self.geometry.servos[servo_id]
         ends = [servo.servo_deg(limit) for limit in self.geometry.joints[servo_id % 10 - 1].limits_rad]
-        joint = Range(min(ends), max(ends), MAX_SPEED_DEG_S)
-        found = Range().within(joint._replace(max_speed_deg_s=math.inf)).within(ranges.get(servo_id, joint))
+        usual = Range(max_speed_deg_s=MAX_SPEED_DEG_S)
+        found = Range().within(Range(min(ends), max(ends))).within(ranges.get(servo_id, usual))
         if found.min_deg > found.max_deg:
             raise WalkError(f"servo {servo_id}: its limits and its joint's leave no angle")
         return found
@@ -238,8 +238,6 @@ def _pose(body: BodyPose) -> str:
 
 
 # ---- what a gateway allows: its settings, its calibration, and what the wire can carry
-
-_FULL_DEG = 180.0
 
 
 def ranges(limits: LimitsReport, calibration: Calibration | None) -> dict[int, Range]:
@@ -283,5 +281,5 @@ def _range(name: str, limits: LimitsReport, calibration: Calibration | None) -> 
     if calibration is None or (servo := calibration.servos.get(name)) is None:
         return found
     lowest_deg = servo.trim_deg if servo.inverted else -servo.trim_deg
-    on_the_wire = Range(lowest_deg, lowest_deg + _FULL_DEG)
+    on_the_wire = Range(lowest_deg, lowest_deg + MAX_DEG)
     return found.within(Range(servo.min_deg, servo.max_deg)).within(on_the_wire)
