@@ -1,8 +1,8 @@
 """Inverse kinematics: joint angles for a foot position, for the chain of the geometry file. Pure.
 
 A leg is a joint that turns about the mount's z axis, then two parallel joints across it. This shape has a solution in
-closed form. The file's numbers differ a little from the shape (`1.5708` for a right angle), so Newton's method on the
-exact chain finishes the solution.
+closed form. The file's numbers differ a little from the shape (`1.5708` for a right angle), so the foot is off by a
+little: the solution is computed again for a foot that much further.
 """
 
 import cmath
@@ -19,17 +19,16 @@ Angles = tuple[float, float, float]
 """The angles of a leg's joints 1, 2 and 3; in radians here, in degrees for servos."""
 
 _OFF: Final = 0.02
-"""How far (radians) an axis may differ from the closed form's shape. Newton's method corrects the difference."""
+"""How far (radians) an axis may differ from the closed form's shape."""
 _CLOSE_M: Final = 1e-9
 _ITERATIONS: Final = 8
-_DAMPING: Final = 1e-10
 _PARALLEL: Final = 1e-12
 """Below this square of a distance (m²) the foot is on the first joint's axis, and any angle will do."""
 
 
 @dataclass(frozen=True, slots=True)
 class LegPositions:
-    """The positions of a leg's parts in the body's frame: for the foot, its derivative and the masses."""
+    """The positions of a leg's joints and foot, and the joints' axes, in the body's frame."""
 
     joints_m: tuple[Vector, ...]
     foot_m: Vector
@@ -86,13 +85,13 @@ class Limb:
 
     def inverse(self, foot_m: Vector) -> Angles:
         """Return the joint angles (radians) for this foot position. Raises WalkError if the leg does not reach it."""
-        angles = self._guess(foot_m)
+        aim_m = foot_m
         for _ in range(_ITERATIONS):
-            positions = self.forward(angles)
-            off_m = minus(foot_m, positions.foot_m)
+            angles = self._guess(aim_m)
+            off_m = minus(foot_m, self.forward(angles).foot_m)
             if max(map(abs, off_m)) < _CLOSE_M:
                 break
-            angles = _improved(angles, positions, off_m)
+            aim_m = plus(aim_m, off_m)
         return angles
 
     # ---- the closed form
@@ -124,23 +123,6 @@ class Limb:
         bent = knee - cmath.phase(self._tibia / self._femur)
         second = cmath.phase(span / (self._femur + self._tibia * cmath.exp(1j * bent))) if distance_m else 0.0
         return first, wrapped(second), wrapped(self._side * bent)
-
-
-def _improved(angles: Angles, positions: LegPositions, off_m: Vector) -> Angles:
-    """Return the angles after one step of Newton's method, slightly damped since a straight leg has no inverse."""
-    one, two, three = (
-        cross(axis, minus(positions.foot_m, joint_m))
-        for axis, joint_m in zip(positions.axes, positions.joints_m, strict=True)
-    )
-    # The normal equations of J step = off, whose matrix is symmetric, by Cramer's rule.
-    x = dot(one, one) + _DAMPING, dot(one, two), dot(one, three)
-    y = x[1], dot(two, two) + _DAMPING, dot(two, three)
-    z = x[2], y[2], dot(three, three) + _DAMPING
-    right = dot(one, off_m), dot(two, off_m), dot(three, off_m)
-    across = cross(y, z)
-    steps = dot(right, across), dot(x, cross(right, z)), dot(x, cross(y, right))
-    first, second, third = (angle + step / dot(x, across) for angle, step in zip(angles, steps, strict=True))
-    return first, second, third
 
 
 # ---- vectors and rotations
