@@ -93,7 +93,7 @@ Answer = int | BoardValues | BoardError | CanFrame
 shown last), OFF_PRESSED, or GOING_OFF (in 1 s the whole robot is switched off)."""
 _ERROR_BYTES: Final = {CONVERTER_OVERCURRENT: 2, SERVO_OVERCURRENT: 4, OVERTEMPERATURE: 2, SUPPLY_LOW: 1}
 _CONVERTERS: Final = (1 << 5) - 1
-_OUTPUTS_OF_CONVERTER: Final = (0b111111, 0b111111 << 6, 0b111111 << 12, 0, 0)
+OUTPUTS_OF_CONVERTER: Final = (0b111111, 0b111111 << 6, 0b111111 << 12, 0, 0)
 """Converters 4 and 5 feed no servo."""
 
 
@@ -140,4 +140,4 @@ def _error(data: bytes) -> BoardError:  # mutants accepted (Step): no error has 
     numbers = [number for number in range(1, 6) if mask >> (number - 1) & 1]
     cause = "overcurrent" if code == CONVERTER_OVERCURRENT else "overtemperature"
     why = f"{cause}: the power board has switched off its converter {' and '.join(map(str, numbers))}"
-    return BoardError(code, why, sum(_OUTPUTS_OF_CONVERTER[number - 1] for number in numbers))
+    return BoardError(code, why, sum(OUTPUTS_OF_CONVERTER[number - 1] for number in numbers))

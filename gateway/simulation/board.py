@@ -39,8 +39,6 @@ AWAKE_NS: Final = 160_000_000
 """Time from the button to the first accepted frame: ten delays of the firmware, one of them 150 ms."""
 OFF_PASSES: Final = 1000
 """Passes of the firmware's loop from frame 66 to standby."""
-OUTPUTS_PER_CONVERTER: Final = 6
-_SIX: Final = (1 << OUTPUTS_PER_CONVERTER) - 1
 SERVO_MV: Final = 7400
 """Setting of converters 1 to 3 at the start."""
 BATTERY_MV: Final = 14_800
@@ -97,7 +95,7 @@ class SimulatedBoard:
     @property
     def fed(self) -> int:
         """The mask of the outputs that have supply now."""
-        off = sum(_SIX << OUTPUTS_PER_CONVERTER * place for place in range(3) if self._off_converters >> place & 1)
+        off = sum(fed for place, fed in enumerate(wire.OUTPUTS_OF_CONVERTER) if self._off_converters >> place & 1)
         return self._on & ~off | self.stuck
 
     @property

@@ -159,19 +159,16 @@ class SimulatedController(SpiDevice):
     # ---- the firmware
 
     def _receive(self, data: bytes, now_ns: int) -> None:
-        position = 0
-        while position < len(data) and self.dead is None:
+        for byte in data:
+            if self.dead is not None:
+                return
             if self._body_len == 0:
-                self._expect(data[position], now_ns)
-                position += 1
+                self._expect(byte, now_ns)
             else:
-                missing = self._body_len - len(self._body)
-                self._body += data[position : position + missing]
-                position += missing
-                if self._announced and len(self._body) > _HARMLESS_LEN:
-                    self._die(f"{len(self._body)} bytes in a buffer of {_RECEIVE_BUFFER_LEN} overwrote its SPI handle")
-                    return
-            if 0 < self._body_len == len(self._body):
+                self._body.append(byte)
+            if self._announced and len(self._body) > _HARMLESS_LEN:
+                self._die(f"{len(self._body)} bytes in a buffer of {_RECEIVE_BUFFER_LEN} overwrote its SPI handle")
+            elif 0 < self._body_len == len(self._body):
                 self._interpret(now_ns)
 
     def _expect(self, length: int, now_ns: int) -> None:

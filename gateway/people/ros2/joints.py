@@ -54,14 +54,14 @@ class JointNames:
         return servos
 
 
-def of_joints(what: str, servos: Sequence[int], values: Sequence[float]) -> dict[int, float]:
-    """Return servo → value; `what` names a value in errors. Raises JointsError if one is missing or not finite."""
-    if len(values) != len(servos):
-        raise JointsError(f"there must be one {what} for each of {len(servos)} joints, not {len(values)}")
-    found = dict(zip(servos, values, strict=True))
-    for servo_id, value in found.items():
-        if not math.isfinite(value):
-            raise JointsError(f"the {what} of {joint_name(servo_id)} is {value}")
+def positions_of(servos: Sequence[int], positions: Sequence[float]) -> dict[int, float]:
+    """Return servo → position. Raises JointsError if one is missing or not finite."""
+    if len(positions) != len(servos):
+        raise JointsError(f"there must be one position for each of {len(servos)} joints, not {len(positions)}")
+    found = dict(zip(servos, positions, strict=True))
+    for servo_id, position in found.items():
+        if not math.isfinite(position):
+            raise JointsError(f"the position of {joint_name(servo_id)} is {position}")
     return found
 
 

@@ -12,7 +12,7 @@ from typing import Any, Final
 from gateway.geometry import Geometry
 from gateway.model.staleness import Staleness
 from gateway.people.ros2.driving import Driving, NotTakenError
-from gateway.people.ros2.joints import JointNames, check_reach, of_joints, stamp_ns
+from gateway.people.ros2.joints import JointNames, check_reach, positions_of, stamp_ns
 from gateway.people.ros2.node import Node
 from gateway.people.ros2.received import SILENT_S, Rivals
 from gateway.people.walking.gaits import NUMBERS
@@ -77,7 +77,7 @@ class Topics:
     # ---- one for each topic
 
     def _joint_commands(self, message: Any) -> None:
-        at_rad = of_joints("position", self.joints.servos(message.name), message.position)
+        at_rad = positions_of(self.joints.servos(message.name), message.position)
         check_reach(self.geometry, at_rad)
         self.driving.joints(at_rad)
 

@@ -248,7 +248,7 @@ class Engine:
             return
         move = state.moves[0]
         state.part = min(1.0, state.part + seconds / move.seconds)
-        state.follow(self.robot, move, state.part)  # `halt` has left out the lost legs
+        move.put(state, self.robot, state.part)  # `halt` has left out the lost legs
         if state.part == 1.0:
             state.moves, state.part = state.moves[1:], 0.0
 

@@ -93,13 +93,11 @@ class Planner:
     def way(self, begin: Figure, stance: Stance | None) -> tuple[Move, ...]:
         """Return the moves from `begin` to a stance (None: to the seat). Raises WalkError if there is no way."""
         goal = stance or self._seat
-        for plan in self._plans(begin, goal):
-            if self._works(begin, plan):
-                return tuple(plan)
-        # Down onto its belly, joint by joint, and up again from there.
-        for plan in self._plans(self._rest, goal):
-            if self._works(self._rest, plan):
-                return (*self._folded(begin.pose), *plan)
+        # Straight there, or down onto its belly, joint by joint, and up again from there.
+        for first, figure in (((), begin), (self._folded(begin.pose), self._rest)):
+            for plan in self._plans(figure, goal):
+                if self._works(figure, plan):
+                    return (*first, *plan)
         raise WalkError("it finds no way to stand up within its limits")
 
     # ---- the plans
@@ -152,12 +150,12 @@ class Planner:
                     if above and not balanced(self._robot, figure, stand):
                         return False
                 pose = dict(figure.pose)
-                figure.follow(self._robot, move, 0.0)
+                move.put(figure, self._robot, 0.0)
                 pairs = chain.from_iterable(zip(figure.pose[leg], pose[leg], strict=True) for leg in pose)
                 if any(abs(now - then) > _SAME_DEG for now, then in pairs):
                     return False
                 for sample in range(1, _SAMPLES + 1):
-                    figure.follow(self._robot, move, sample / _SAMPLES)
+                    move.put(figure, self._robot, sample / _SAMPLES)
         except WalkError:
             return False
         return True

@@ -2,8 +2,7 @@
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, NamedTuple, Self
 
 from gateway.geometry.kinematics import Vector
@@ -44,8 +43,9 @@ class Shift(NamedTuple):
         rise_m, roll, pitch = (abs(b - a) for a, b in zip(self.begin, self.end, strict=True))
         return max(_LEAST_S, rise_m / _SINK_M_S, max(roll, pitch) / _LEAN_RAD_S)
 
-    def at(self, part: float) -> BodyPose:
-        return BodyPose(*between(self.begin, self.end, smooth(part)))
+    def put(self, figure: "Figure", robot: Robot, part: float) -> None:
+        figure.body = BodyPose(*between(self.begin, self.end, smooth(part)))
+        figure.place(robot, LEGS)
 
 
 class Footsteps(NamedTuple):
@@ -55,10 +55,11 @@ class Footsteps(NamedTuple):
     lift_m: float = LIFT_M
     seconds: float = STEP_S
 
-    def at(self, leg: int, part: float) -> Vector:
-        begin, end = self.paths[leg]
-        x, y, z = between(begin, end, smooth(part))
-        return x, y, z + self.lift_m * 16.0 * (part * (1.0 - part)) ** 2
+    def put(self, figure: "Figure", robot: Robot, part: float) -> None:
+        for leg, path in self.paths.items():
+            x, y, z = between(*path, smooth(part))
+            figure.feet[leg] = x, y, z + self.lift_m * 16.0 * (part * (1.0 - part)) ** 2
+        figure.place(robot, self.paths)
 
 
 class Bend(NamedTuple):
@@ -73,11 +74,15 @@ class Bend(NamedTuple):
         furthest = max(abs(b - a) for path in self.paths.values() for a, b in zip(*path, strict=True))
         return max(_LEAST_S, furthest / _BEND_DEG_S)
 
-    def at(self, leg: int, part: float) -> Angles:
-        return between(*self.paths[leg], smooth(part))
+    def put(self, figure: "Figure", robot: Robot, part: float) -> None:
+        figure.pose |= {leg: between(*path, smooth(part)) for leg, path in self.paths.items()}
+        if part == 1.0 and self.then is not None:
+            figure.body = self.then
+        figure.ground(robot, LEGS)
 
 
 Move = Shift | Footsteps | Bend
+"""`put` puts a figure at a part (0 to 1) of the move. Raises WalkError if a leg does not reach."""
 
 
 @dataclass(slots=True)
@@ -93,23 +98,7 @@ class Figure:
     """Whether the robot sits or lies after its moves."""
 
     def copy(self) -> Self:
-        new = copy(self)
-        new.feet, new.pose = dict(self.feet), dict(self.pose)
-        return new
-
-    def follow(self, robot: Robot, move: Move, part: float) -> None:
-        """Go to this part (0 to 1) of a move. Raises WalkError if a leg does not reach."""
-        if isinstance(move, Shift):
-            self.body = move.at(part)
-            self.place(robot, LEGS)
-        elif isinstance(move, Footsteps):
-            self.feet |= {leg: move.at(leg, part) for leg in move.paths}
-            self.place(robot, move.paths)
-        else:
-            self.pose |= {leg: move.at(leg, part) for leg in move.paths}
-            if part == 1.0 and move.then is not None:
-                self.body = move.then
-            self.ground(robot, LEGS)
+        return replace(self, feet=dict(self.feet), pose=dict(self.pose))
 
     def ground(self, robot: Robot, legs: Iterable[int]) -> None:
         """Set the positions of these feet by the joints."""

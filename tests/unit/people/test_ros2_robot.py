@@ -19,7 +19,7 @@ from gateway.people.incidents.messages import RecordedMessage
 from gateway.people.incidents.story import frames_in
 from gateway.people.recorder.drawing import encode
 from gateway.people.ros2.commanded import UserAngles
-from gateway.people.ros2.joints import JointNames, JointsError, check_reach, legs_deg, of_joints
+from gateway.people.ros2.joints import JointNames, JointsError, check_reach, legs_deg, positions_of
 from gateway.people.ros2.messages import Imu, JointState, String, Time
 from gateway.people.ros2.received import SILENT_S, Rivals, read_each
 from gateway.people.ros2.robot import MEASURED, description, frames, joint_state, measured, odometry, odometry_frame
@@ -274,7 +274,7 @@ def test_names_and_patterns_that_are_not_taken(call: Callable[[Any], object], na
 )
 def test_a_position_that_is_missing_or_not_finite_is_rejected(position: tuple[float, ...], why: str) -> None:
     with pytest.raises(JointsError, match=why):
-        of_joints("position", LEG, position)
+        positions_of(LEG, position)
 
 
 @pytest.mark.parametrize("servo_id", LEG)
@@ -282,7 +282,7 @@ def test_a_position_that_is_missing_or_not_finite_is_rejected(position: tuple[fl
 def test_a_position_is_taken_up_to_the_servos_range_and_never_clamped(
     servo_id: int, at_deg: float, beyond_deg: float
 ) -> None:
-    at = of_joints("position", LEG, REST)
+    at = positions_of(LEG, REST)
     check_reach(SHAPE, at | {servo_id: SHAPE.joint_rad(servo_id, at_deg) * (1 - 1e-9)})
     with pytest.raises(JointsError, match=rf"joint_{servo_id} at .* rad is .*° of its servo, which has 0 to 180°"):
         check_reach(SHAPE, at | {servo_id: SHAPE.joint_rad(servo_id, beyond_deg)})
@@ -290,7 +290,7 @@ def test_a_position_is_taken_up_to_the_servos_range_and_never_clamped(
 
 def test_joints_in_any_order_become_the_degrees_of_their_legs() -> None:
     names = ("joint_63", "joint_12", "joint_61", "joint_13", "joint_62", "joint_11")
-    at = of_joints("position", NAMES.servos(names), (-1.5, 0.5, 0.0, -1.5, 0.5, 0.0))
+    at = positions_of(NAMES.servos(names), (-1.5, 0.5, 0.0, -1.5, 0.5, 0.0))
     degrees = legs_deg(SHAPE, at)
     assert degrees.keys() == {1, 6}
     assert degrees[1] == pytest.approx([SHAPE.servos[name].servo_deg(at[name]) for name in LEG])

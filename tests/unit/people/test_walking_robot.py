@@ -200,7 +200,7 @@ def test_a_lying_robot_stands_up_by_lowering_its_feet_rising_and_stepping_to_the
     ]
     ends = lies.copy()
     for move in (lowered, rises, *steps):
-        ends.follow(ROBOT, move, 1.0)
+        move.put(ends, ROBOT, 1.0)
     assert ends.body == USUAL.body
     assert ends.feet == USUAL.feet
     for leg, angles in ends.pose.items():
