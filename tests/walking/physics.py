@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from typing import Final
 
 from gateway.geometry import Geometry
-from gateway.people.physics.assumed import Assumed
+from gateway.people.physics.assumed import USUAL, Assumed
 from gateway.people.physics.world import TIMESTEP_S, World
 from gateway.people.walking.engine import Engine
 from gateway.people.walking.motion import STILL, Posture, Velocity
@@ -46,22 +46,20 @@ def run(world: World, seconds: float) -> None:
         world.step()
 
 
-def walk(
-    world: World, engine: Engine, geometry: Geometry, wanted: Velocity, seconds: float = TICK_S, sense: Sense = blind
-) -> None:
+def walk(world: World, engine: Engine, wanted: Velocity, seconds: float = TICK_S, sense: Sense = blind) -> None:
     """Walk as a gateway passes setpoints on, 50 a second, with the time until the next."""
     for _ in range(round(seconds / TICK_S)):
         engine.step(wanted, TICK_S, sense(world))
-        drive(world, angles_of(engine), geometry)
+        drive(world, angles_of(engine), engine.robot.geometry)
         run(world, TICK_S)
 
 
-def stand_up(world: World, engine: Engine, geometry: Geometry, sense: Sense = blind) -> None:
+def stand_up(world: World, engine: Engine, sense: Sense = blind) -> None:
     """Stand up by its walk, and wait half a second longer."""
     engine.stand()
     while engine.posture is not Posture.STANDING:
-        walk(world, engine, geometry, STILL, sense=sense)
-    walk(world, engine, geometry, STILL, 0.5, sense)
+        walk(world, engine, STILL, sense=sense)
+    walk(world, engine, STILL, 0.5, sense)
 
 
 def angles_of(engine: Engine) -> dict[int, float]:
@@ -72,11 +70,12 @@ def angles_of(engine: Engine) -> dict[int, float]:
     }
 
 
-def stood_up(geometry: Geometry, engine: Engine, assumed: Assumed | None = None, sense: Sense = blind) -> World:
+def stood_up(engine: Engine, assumed: Assumed = USUAL, sense: Sense = blind) -> World:
     """Return a robot that stands up from where this engine lies."""
-    world = World(geometry, assumed or Assumed())
+    geometry = engine.robot.geometry
+    world = World(geometry, assumed)
     world.lie_down({servo_id: geometry.joint_rad(servo_id, deg) for servo_id, deg in angles_of(engine).items()})
-    stand_up(world, engine, geometry, sense)
+    stand_up(world, engine, sense)
     return world
 
 

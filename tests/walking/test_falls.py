@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 
 import pytest
 
-from gateway.geometry import Geometry, load
+from gateway.geometry import load
 from gateway.model.angle_limits import AngleLimits
 from gateway.people.physics.assumed import Assumed
 from gateway.people.physics.world import TIMESTEP_S, World
@@ -35,29 +35,23 @@ STANCES: Final = (STAND, *GAITS)
 _STRIDES_BEFORE: Final = 2
 
 
-class Moment(NamedTuple):
-    """A robot in one phase, just after its latest command."""
-
-    world: World
-    """As it was then."""
-    angles: dict[int, float]
-    """Where each servo was sent, in degrees as commands name them."""
-
-
 @cache
-def moments(stance: str, assumed: Assumed) -> list[Moment]:
-    """Return the phases of a stride, each just after a command; of a stand there is one. Copy them before use."""
+def moments(stance: str, assumed: Assumed) -> list[tuple[World, dict[int, float]]]:
+    """Return a robot in each phase of a stride (a stand has one), just after a command, and the commanded angles.
+
+    These are in degrees as commands name them. Copy a world before use.
+    """
     engine = Engine(Robot(GEOMETRY), "tripod" if stance == STAND else stance)
-    world = physics.stood_up(GEOMETRY, engine, assumed)
+    world = physics.stood_up(engine, assumed)
     if stance == STAND:
-        return [Moment(world, physics.angles_of(engine))]
+        return [(world, physics.angles_of(engine))]
     ticks = round(GAITS[stance].period_s / physics.TICK_S)
     due = {_STRIDES_BEFORE * ticks + round(phase * ticks / PHASES) for phase in range(PHASES)}
     found = []
     for number in range((_STRIDES_BEFORE + 1) * ticks):
-        physics.walk(world, engine, GEOMETRY, Velocity(physics.SPEEDS_M_S[stance]))
+        physics.walk(world, engine, Velocity(physics.SPEEDS_M_S[stance]))
         if number in due:
-            found.append(Moment(deepcopy(world), physics.angles_of(engine)))
+            found.append((deepcopy(world), physics.angles_of(engine)))
     return found
 
 
@@ -82,7 +76,7 @@ class Fall(NamedTuple):
         return Fall(*map(max, self, other))
 
 
-def looked_at(world: World, sent: Iterable[physics.Sent], geometry: Geometry) -> Fall:
+def looked_at(world: World, sent: Iterable[physics.Sent]) -> Fall:
     """Send the servos there, in seconds from now, and look until it lies."""
     begun_s, begin = world.time_s, world.body()
     lowest_m, speed_m_s, tilt_deg = begin.position_m[2], 0.0, 0.0
@@ -91,7 +85,7 @@ def looked_at(world: World, sent: Iterable[physics.Sent], geometry: Geometry) ->
     steps = 0
     while world.time_s - begun_s < last_s + AFTER_S:
         while waiting and waiting[0][0] <= world.time_s - begun_s + TIMESTEP_S / 2:
-            physics.drive(world, waiting.pop(0)[1], geometry)
+            physics.drive(world, waiting.pop(0)[1], GEOMETRY)
         world.step()
         steps += 1
         speed_m_s = max(speed_m_s, -float(world.data.qvel[2]))
@@ -101,12 +95,12 @@ def looked_at(world: World, sent: Iterable[physics.Sent], geometry: Geometry) ->
     return Fall(begin.position_m[2] - lowest_m, speed_m_s, tilt_deg)
 
 
-def landed(begin: Mapping[int, float], settings: Settings) -> Iterator[physics.Sent]:
+def landed(begin: Mapping[int, float]) -> Iterator[physics.Sent]:
     """Land from these angles by the core's own function, at the legs' rate. Times are since the latest command."""
-    began_ns = round(settings.watchdog.timeout_ms * 1e6)
-    length_ns = round(settings.watchdog.landing_ms * 1e6)
-    period_ns = round(_NS / settings.limits.leg_rate_hz)
-    ends = {int(name): angle_deg for name, angle_deg in settings.watchdog.landing.items()}
+    began_ns = round(SETTINGS.watchdog.timeout_ms * 1e6)
+    length_ns = round(SETTINGS.watchdog.landing_ms * 1e6)
+    period_ns = round(_NS / SETTINGS.limits.leg_rate_hz)
+    ends = {int(name): angle_deg for name, angle_deg in SETTINGS.watchdog.landing.items()}
     pace = Paces(Rules(period_ns=period_ns, landing_ns=length_ns), AngleLimits())
     servos = [Servo(servo_id, RUNNING, round(100 * angle_deg)) for servo_id, angle_deg in begin.items()]
     for servo in servos:
@@ -144,10 +138,7 @@ hold it up like a trestle, and let go at once (docs/stops.md)."""
     [pair for pair in product(WORLDS, STANCES) if pair[1] in HARDEST or pair[0] in ("as assumed", WEAK)],
 )
 def test_a_landing_from_any_phase_is_gentle(world: str, stance: str) -> None:
-    each = (
-        looked_at(deepcopy(moment.world), landed(moment.angles, SETTINGS), GEOMETRY)
-        for moment in moments(stance, WORLDS[world])
-    )
+    each = (looked_at(deepcopy(begin), landed(angles)) for begin, angles in moments(stance, WORLDS[world]))
     found = reduce(Fall.worse, each)
     assert found.speed_m_s < (STUCK_M_S if (world, stance) in STUCK else MOST_SPEED_M_S)
     assert found.tilt_deg < MOST_TILT_DEG
@@ -157,9 +148,9 @@ def test_a_landing_from_any_phase_is_gentle(world: str, stance: str) -> None:
 @pytest.mark.parametrize("gait", GAITS)
 def test_a_stop_in_any_phase_of_a_stride_lets_it_sink_and_never_topple(gait: str) -> None:
     """All servos slack, as after an emergency stop, at six times within a stride: faster down than by a landing."""
-    for moment in moments(gait, Assumed()):
-        world = deepcopy(moment.world)
-        fallen = looked_at(world, [(0.0, SLACK)], GEOMETRY)
+    for begin, _ in moments(gait, Assumed()):
+        world = deepcopy(begin)
+        fallen = looked_at(world, [(0.0, SLACK)])
         assert fallen.speed_m_s > MOST_SPEED_M_S
         assert fallen.tilt_deg < physics.FALLEN_DEG
         physics.run(world, physics.SINKS_S - AFTER_S)

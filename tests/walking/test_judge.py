@@ -1,14 +1,14 @@
 """Each gait goes where it was sent, in three worlds, and how fast. Physics is the judge (docs/walking.md)."""
 
 import math
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 import pytest
 
 from gateway.geometry import MAX_SPEED_DEG_S, load
 from gateway.model.servo import NO_LOAD_DEG_S
-from gateway.people.physics.assumed import Assumed
+from gateway.people.physics.assumed import USUAL, Assumed
 from gateway.people.walking.engine import Engine
 from gateway.people.walking.gaits import GAITS
 from gateway.people.walking.motion import STILL, Posture, Velocity, travelled
@@ -34,20 +34,12 @@ _CARRIES: Final = 0.15
 _GEOMETRY: Final = load()
 
 
-class Part(NamedTuple):
-    """A part of a course: a velocity, held for `seconds`."""
-
-    name: str
-    velocity: Velocity
-    seconds: float
-
-
 class Walker:
     """A simulated robot of these assumptions that has stood up, and what becomes of it."""
 
     def __init__(self, gait: str, assumed: Assumed) -> None:
         self.engine = Engine(Robot(_GEOMETRY), gait)
-        self.world = stood_up(_GEOMETRY, self.engine, assumed)
+        self.world = stood_up(self.engine, assumed)
         self._carries_n = _CARRIES * 9.81 * float(sum(self.world.model.body_mass))
         self._stood: dict[int, Any] = {}
         self._heading_rad = self._tilt_deg = self._scraped_m = 0.0
@@ -56,11 +48,12 @@ class Walker:
     def height_m(self) -> float:
         return self.world.body().position_m[2]
 
-    def walk(self, part: Part) -> list[str]:
+    def walk(self, name: str, velocity: Velocity, seconds: float) -> list[str]:
+        """Walk at a velocity, and stand. Return what was wrong."""
         (begin_x_m, begin_y_m, _), begin_rad = self.world.body().position_m, self._heading_rad
         self._tilt_deg = self._scraped_m = 0.0
-        for _ in range(round(part.seconds / TICK_S)):
-            self._tick(part.velocity)
+        for _ in range(round(seconds / TICK_S)):
+            self._tick(velocity)
         self.engine.stand()
         self._until(Posture.STANDING)
         x_m, y_m, _ = self.world.body().position_m
@@ -68,15 +61,16 @@ class Walker:
         cosine, sine = math.cos(begin_rad), math.sin(begin_rad)
         ahead_m, left_m = cosine * east_m + sine * north_m, cosine * north_m - sine * east_m
         turned_deg = math.degrees(self._heading_rad - begin_rad)
-        return [f"{part.name}: {fault}" for fault in self._faults(part, ahead_m, left_m, turned_deg)]
+        return [f"{name}: {fault}" for fault in self._faults(velocity, seconds, ahead_m, left_m, turned_deg)]
 
     def sit(self) -> None:
         self.engine.sit()
         self._until(Posture.SITTING)
 
-    def _faults(self, part: Part, ahead_m: float, left_m: float, turned_deg: float) -> list[str]:
-        velocity = part.velocity
-        x_m, y_m, turned_rad = travelled(velocity, part.seconds)
+    def _faults(
+        self, velocity: Velocity, seconds: float, ahead_m: float, left_m: float, turned_deg: float
+    ) -> list[str]:
+        x_m, y_m, turned_rad = travelled(velocity, seconds)
         wanted_m = math.hypot(x_m, y_m)
         speed_m_s = max(math.hypot(velocity.forward_m_s, velocity.left_m_s), abs(velocity.turn_rad_s) * _ARM_M)
         went_m, aside_m = 0.0, math.hypot(ahead_m, left_m)
@@ -86,7 +80,7 @@ class Walker:
         wrong_deg = turned_deg - math.degrees(turned_rad)
         found = {
             f"went {went_m:.3f} m of {wanted_m:.3f}": abs(went_m - wanted_m) > max(OFF * wanted_m, SHORT_M),
-            f"{1000 * aside_m:.0f} mm aside": aside_m > max(ASIDE * part.seconds * speed_m_s, SHORT_M),
+            f"{1000 * aside_m:.0f} mm aside": aside_m > max(ASIDE * seconds * speed_m_s, SHORT_M),
             f"heading off by {wrong_deg:+.1f} degrees": abs(wrong_deg) > TURNED_DEG,
             f"leaned by {self._tilt_deg:.1f} degrees": self._tilt_deg > TILT_DEG,
             f"a foot scraped by {1000 * self._scraped_m:.1f} mm": self._scraped_m > SCRAPED_M,
@@ -100,7 +94,7 @@ class Walker:
             self._tick(STILL)
 
     def _tick(self, wanted: Velocity) -> None:
-        walk(self.world, self.engine, _GEOMETRY, wanted)
+        walk(self.world, self.engine, wanted)
         self._heading_rad += math.remainder(heading_rad(self.world) - self._heading_rad, math.tau)
         self._tilt_deg = max(self._tilt_deg, self.world.body().tilt_deg)
         for foot, newtons in zip(self.world.feet, self.world.feet_n(), strict=True):
@@ -112,7 +106,6 @@ class Walker:
                 self._stood.pop(foot, None)
 
 
-USUAL: Final = Assumed()
 WORLDS: Final = {
     "as assumed": USUAL,
     "the weakest robot": USUAL._replace(mass_kg=1.3 * USUAL.mass_kg, torque_nm=0.7 * USUAL.torque_nm),
@@ -128,9 +121,9 @@ LIES_M: Final = 0.07
 def test_it_goes_where_it_was_sent(gait: str, world: str) -> None:
     walker = Walker(gait, WORLDS[world])
     assert walker.height_m == pytest.approx(STANDS_M, abs=0.015)
-    faults = walker.walk(Part("forward", Velocity(SPEEDS_M_S[gait]), 4.0))
-    faults += walker.walk(Part("left", Velocity(0, SPEEDS_M_S[gait]), 3.5))
-    faults += walker.walk(Part("turn", Velocity(0, 0, TURNS_RAD_S[gait]), 3.5))
+    faults = walker.walk("forward", Velocity(SPEEDS_M_S[gait]), 4.0)
+    faults += walker.walk("left", Velocity(0, SPEEDS_M_S[gait]), 3.5)
+    faults += walker.walk("turn", Velocity(0, 0, TURNS_RAD_S[gait]), 3.5)
     assert not faults
     walker.sit()
     assert walker.height_m < LIES_M
@@ -138,7 +131,7 @@ def test_it_goes_where_it_was_sent(gait: str, world: str) -> None:
 
 def test_the_judge_notices_a_robot_that_slips() -> None:
     """On ice it does not go where it was sent; so the figures are those of the world, not of the walker."""
-    assert Walker("tripod", USUAL._replace(friction=0.01)).walk(Part("forward", Velocity(0.08), 4.0))
+    assert Walker("tripod", USUAL._replace(friction=0.01)).walk("forward", Velocity(0.08), 4.0)
 
 
 # ---- at the Elkapod's limits: reached, or the walk names the servo that is too slow
@@ -150,34 +143,27 @@ _LASTS_S: Final = 12.0
 _LOOK_S: Final = 0.1
 
 
-class Reached(NamedTuple):
-    """Of what was commanded, 0 to 1; and what limited it, in the walk's words."""
+def reached(gait: str, servo_deg_s: float) -> tuple[float, float, set[str]]:
+    """Return which parts of LIMITS, forward and turn, are reached with servos of this speed, and what limits them.
 
-    forward: float
-    turn: float
-    limits: frozenset[str]
-
-
-def reached(gait: str, servo_deg_s: float) -> Reached:
-    """Return the means of twelve seconds on a flat floor, forward and turning, with servos of this speed."""
+    The parts are means of twelve seconds on a flat floor; the limits are in the walk's words.
+    """
     wanted = LIMITS[gait]
     robot = Robot(_GEOMETRY, {servo_id: Range(max_speed_deg_s=servo_deg_s) for servo_id in SERVO_IDS})
     engine = Engine(robot, gait)
-    world = stood_up(_GEOMETRY, engine)
-    walk(world, engine, _GEOMETRY, wanted, _BEGINS_S)
+    world = stood_up(engine)
+    walk(world, engine, wanted, _BEGINS_S)
     ahead_m = turned_rad = 0.0
-    limits = set()
+    limits = set[str]()
     for _ in range(round(_LASTS_S / _LOOK_S)):
         (x_m, y_m, _), heading = world.body().position_m, heading_rad(world)
-        walk(world, engine, _GEOMETRY, wanted, _LOOK_S)
+        walk(world, engine, wanted, _LOOK_S)
         turned = math.remainder(heading_rad(world) - heading, math.tau)
         (to_x_m, to_y_m, _), middle = world.body().position_m, heading + turned / 2
         ahead_m += (to_x_m - x_m) * math.cos(middle) + (to_y_m - y_m) * math.sin(middle)
         turned_rad += turned
         limits |= {engine.limit} - {""}
-    return Reached(
-        ahead_m / _LASTS_S / wanted.forward_m_s, turned_rad / _LASTS_S / wanted.turn_rad_s, frozenset(limits)
-    )
+    return ahead_m / _LASTS_S / wanted.forward_m_s, turned_rad / _LASTS_S / wanted.turn_rad_s, limits
 
 
 @pytest.mark.parametrize("gait", LIMITS)
@@ -188,7 +174,7 @@ def test_forward_and_turn_are_reached_at_the_same_time_or_the_servo_that_is_too_
     gait: str, servo_deg_s: float, forward: float, turn: float
 ) -> None:
     """Within a servo's own speed, and with the usual limit."""
-    found = reached(gait, servo_deg_s)
-    assert found.forward > forward
-    assert found.turn > turn
-    assert servo_deg_s == NO_LOAD_DEG_S or any("the speed of servo" in limit for limit in found.limits)
+    ahead, turned, limits = reached(gait, servo_deg_s)
+    assert ahead > forward
+    assert turned > turn
+    assert servo_deg_s == NO_LOAD_DEG_S or any("the speed of servo" in limit for limit in limits)

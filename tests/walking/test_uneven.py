@@ -19,8 +19,7 @@ from schemas.robot import LEGS
 from schemas.telemetry import Imu, Telemetry
 from tests.walking import physics
 
-GEOMETRY: Final = load()
-ROBOT: Final = Robot(GEOMETRY)
+ROBOT: Final = Robot(load())
 HALF: Final = 0.5
 FALLEN_DEG: Final = 40.0
 _NOW: Final = datetime(2026, 1, 1, tzinfo=UTC)
@@ -87,11 +86,11 @@ def walk(terrain: str, sensor: Sensor | None, seconds: float = 12.0) -> Outcome:
     """Stand up and walk ahead by a tripod gait; without a sensor: blind."""
     sense = physics.blind if sensor is None else partial(measured, sensor=sensor)
     engine = Engine(ROBOT, "tripod")
-    world = physics.stood_up(GEOMETRY, engine, Assumed(terrain=TERRAINS[terrain]), sense)
-    physics.walk(world, engine, GEOMETRY, STILL, 1.5, sense)
+    world = physics.stood_up(engine, Assumed(terrain=TERRAINS[terrain]), sense)
+    physics.walk(world, engine, STILL, 1.5, sense)
     (begin_x_m, begin_y_m, _), tilts, limit = world.body().position_m, [], ""
     for _ in range(round(seconds / physics.TICK_S)):
-        physics.walk(world, engine, GEOMETRY, Velocity(0.08), sense=sense)
+        physics.walk(world, engine, Velocity(0.08), sense=sense)
         _, x, y, _ = map(float, world.data.qpos[3:7])
         tilts.append(math.degrees(math.acos(max(-1.0, min(1.0, 1 - 2 * (x * x + y * y))))))  # against gravity
         limit = engine.limit or limit

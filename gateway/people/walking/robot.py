@@ -106,7 +106,7 @@ class Robot:
         self.limp_s = FEED_S if fed_singly else 0.0
         """For this time (seconds) after the last start a servo may not be fed yet."""
         self.limbs = {leg: Limb(geometry, leg) for leg in LEGS}
-        self.ranges = {10 * leg + joint: self._range(10 * leg + joint, ranges) for leg in LEGS for joint in JOINTS}
+        self.ranges = {servo_id: self._range(servo_id, ranges) for servo_id in SERVO_IDS}
         heights_m = [mount.xyz_m[2] for mount in geometry.leg_mounts.values()]
         self.lying_m = BODY_HEIGHT_M / 2 + _CLEARANCE_M - (max(heights_m) + min(heights_m)) / 2
         """The height at which the body lies on the ground."""

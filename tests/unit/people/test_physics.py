@@ -154,7 +154,7 @@ def test_between_two_steps_it_feels_what_it_felt() -> None:
 
 def test_who_carries_more_finds_its_battery_lower() -> None:
     world = World(GEOMETRY)
-    stand_up(world, Engine(Robot(GEOMETRY)), GEOMETRY)
+    stand_up(world, Engine(Robot(GEOMETRY)))
     sensors = Sensors(world)
     run(world, 0.1)
     held = sensors.read()
