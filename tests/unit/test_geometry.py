@@ -14,7 +14,6 @@ from gateway.errors import ConfigError, WalkError
 from gateway.geometry import ELKAPOD, load
 from gateway.geometry.model import MAX_FILE_BYTES
 from gateway.people.walking.inverse import Limb
-from gateway.people.walking.robot import Range, Robot
 from schemas.robot import LEGS
 
 GEOMETRY: Final = load()
@@ -127,11 +126,3 @@ def test_what_a_leg_does_not_reach_is_an_error_that_says_how_far_it_reaches() ->
     for point in ((1.0, 1.0, -0.1), (0.17841, 0.13276, 0.5)):
         with pytest.raises(WalkError, match=r"leg 1 does not reach: .* and 0\.121 to 0\.306 m are possible"):
             LIMBS[1].inverse(point)
-
-
-def test_what_a_servo_may_not_do_is_an_error_that_names_its_limit() -> None:
-    robot = Robot(GEOMETRY, {12: Range(60, 100)})
-    with pytest.raises(WalkError, match=r"servo 12 would stand at 130\.6 degrees, and may go from 60 to 100"):
-        robot.angles_deg(1, (0.17841 + 0.2 * math.cos(0.63973287), 0.13276 + 0.2 * math.sin(0.63973287), -0.15))
-    with pytest.raises(WalkError, match="servo 12: its limits and its joint's leave no angle"):
-        Robot(GEOMETRY, {12: Range(190, 200)})

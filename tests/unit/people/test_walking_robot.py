@@ -89,7 +89,8 @@ def test_a_servo_keeps_half_a_degree_of_its_range_free_within_discs_and_none_els
             if fits:
                 assert limited.angles_deg(1, foot_m, spare_deg) == POSE[1]
             else:
-                with pytest.raises(WalkError, match=r"servo 11 would stand at 90\.0 degrees, and may go from"):
+                ends = f"{first - low:g} to {first + high:g}"
+                with pytest.raises(WalkError, match=rf"servo 11 would stand at 90\.0 degrees, and may go from {ends}"):
                     limited.angles_deg(1, foot_m, spare_deg)
 
 
