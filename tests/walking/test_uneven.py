@@ -3,26 +3,26 @@
 import math
 from collections import deque
 from collections.abc import Callable
-from datetime import UTC, datetime
 from functools import cache, partial
 from typing import Final, NamedTuple
 
 import pytest
 
 from gateway.geometry import load
+from gateway.model.telemetry import report_of
 from gateway.people.physics.assumed import Assumed, Terrain
 from gateway.people.physics.world import World
 from gateway.people.walking.engine import Engine
 from gateway.people.walking.motion import STILL, Velocity
 from gateway.people.walking.robot import Robot
 from schemas.robot import LEGS
-from schemas.telemetry import Imu, Telemetry
+from schemas.telemetry import Telemetry
+from tests.support.published import AT_REST, WALL
 from tests.walking import physics
 
 ROBOT: Final = Robot(load())
 HALF: Final = 0.5
 FALLEN_DEG: Final = 40.0
-_NOW: Final = datetime(2026, 1, 1, tzinfo=UTC)
 
 Forces = tuple[float, ...]
 Sensor = Callable[[Forces], Forces]
@@ -73,13 +73,8 @@ def measured(world: World, sensor: Sensor) -> Telemetry:
     """Return the body's truth as telemetry."""
     w, x, y, z = map(float, world.data.qpos[3:7])
     one, two, three, four, five, six = sensor(world.feet_n())
-    still = (0.0, 0.0, 0.0)
-    return Telemetry(
-        time=_NOW,
-        age_ms=0.0,
-        imu=Imu(orientation_wxyz=(w, x, y, z), angular_velocity_rad_s=still, linear_acceleration_m_s2=still),
-        feet=(one, two, three, four, five, six),
-    )
+    values = AT_REST._replace(orientation_wxyz=(w, x, y, z), feet=(one, two, three, four, five, six))
+    return report_of(values, WALL, 0.0)
 
 
 def walk(terrain: str, sensor: Sensor | None, seconds: float = 12.0) -> Outcome:

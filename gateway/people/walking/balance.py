@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from typing import Final, NamedTuple
 
 from gateway.errors import WalkError
+from gateway.geometry.kinematics import rotated
 from gateway.people.walking.motion import BodyPose
 from schemas.robot import LEGS
 from schemas.telemetry import Telemetry
@@ -105,8 +106,7 @@ class Senses:
         if telemetry is None:
             self._tilted_s = self._lifted_s = 0.0
             return NOTHING
-        roll_rad, pitch_rad, tilt_deg = _lean(telemetry)
-        forces, carrying = telemetry.feet, None
+        tilt_deg, forces, carrying = telemetry.tilt_deg, telemetry.feet, None
         if forces is not None and all(map(math.isfinite, forces)):
             total = sum(max(0.0, force) for force in forces)
             lifted = stands and total < _LIFTED * self._weight
@@ -125,7 +125,7 @@ class Senses:
             fault = f"the body leans by {tilt_deg:.0f} degrees: it has fallen"
         elif self._lifted_s > _LIFTED_S:
             fault = "no foot carries: somebody has lifted it"
-        return Felt(roll_rad, pitch_rad, tilt_deg, feet, carrying, fault)
+        return Felt(*_lean(telemetry), tilt_deg, feet, carrying, fault)
 
 
 class Lateness(NamedTuple):
@@ -175,16 +175,10 @@ def lowered_by(heights_m: list[float], seconds: float) -> float:
     return max(-most, min(most, _RISES_1_S * mean_m * seconds))
 
 
-def _lean(telemetry: Telemetry) -> tuple[float | None, float | None, float | None]:
-    """Return roll and pitch (radians, as in `BodyPose`) and tilt (degrees), each None if not measured."""
-    if telemetry.imu is None:
-        return None, None, telemetry.tilt_deg
+def _lean(telemetry: Telemetry) -> tuple[float | None, float | None]:
+    """Return roll and pitch (radians, as in `BodyPose`); None if the orientation is invalid, or the body has fallen."""
+    if telemetry.imu is None or telemetry.tilt_deg is None or telemetry.tilt_deg > FALLEN_DEG:
+        return None, None
     w, x, y, z = telemetry.imu.orientation_wxyz
-    square = w * w + x * x + y * y + z * z
-    if not 0.8 < square < 1.2:  # all zeros before the sensor is ready
-        return None, None, telemetry.tilt_deg
-    ahead, aside, up = 2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z
-    tilt_deg = math.degrees(math.acos(max(-1.0, min(1.0, up / square))))
-    if tilt_deg > FALLEN_DEG:
-        return None, None, tilt_deg
-    return math.atan2(aside, up), math.atan2(-ahead, math.hypot(aside, up)), tilt_deg
+    ahead, aside, up = rotated((-x, -y, -z, w), (0.0, 0.0, 1.0))
+    return math.atan2(aside, up), math.atan2(-ahead, math.hypot(aside, up))

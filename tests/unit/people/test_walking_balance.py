@@ -2,33 +2,32 @@
 
 import math
 from collections.abc import Callable
-from datetime import UTC, datetime
 from typing import Final
 
 import pytest
 
 from gateway.errors import WalkError
 from gateway.geometry import load
-from gateway.geometry.kinematics import Vector, from_rpy
+from gateway.geometry.kinematics import from_rpy
+from gateway.model.telemetry import report_of
 from gateway.people.walking.balance import FALLEN_DEG, LEANS_RAD, ReceivedTelemetry, Senses
 from gateway.people.walking.motion import STILL, Posture, Velocity
 from gateway.people.walking.ride import Ride
 from gateway.people.walking.robot import LIFT_M, Robot
 from schemas.robot import LEGS
-from schemas.telemetry import Imu, Telemetry
+from schemas.telemetry import Telemetry
+from tests.support.published import AT_REST, WALL
 from tests.support.ridden import Ridden
 from tests.support.walked import TICK_S, Walked, standing
 
 ROBOT: Final = Robot(load())
 AHEAD: Final = Velocity(0.06)
-_NONE: Final[Vector] = (0.0, 0.0, 0.0)
 
 
 def telemetry(feet: list[float] | None = None, roll_rad: float = 0.0, pitch_rad: float = 0.0) -> Telemetry:
     x, y, z, w = from_rpy((roll_rad, pitch_rad, 0.0))
-    imu = Imu(orientation_wxyz=(w, x, y, z), angular_velocity_rad_s=_NONE, linear_acceleration_m_s2=_NONE)
-    forces = None if feet is None else (feet[0], feet[1], feet[2], feet[3], feet[4], feet[5])
-    return Telemetry(time=datetime(2026, 1, 1, tzinfo=UTC), age_ms=0.0, imu=imu, feet=forces)
+    found = report_of(AT_REST._replace(orientation_wxyz=(w, x, y, z)), WALL, 0.0)
+    return found.model_copy(update={"feet": feet and tuple(feet)})
 
 
 class Ground:
@@ -157,11 +156,11 @@ def test_a_walk_begins_with_the_feet_that_are_furthest_behind(ahead_m: float) ->
 
 
 def test_an_orientation_that_is_none_levels_nothing() -> None:
-    imu = Imu(orientation_wxyz=(0.0, 0.0, 0.0, 0.0), angular_velocity_rad_s=_NONE, linear_acceleration_m_s2=_NONE)
-    felt = Senses().take(telemetry().model_copy(update={"imu": imu}), TICK_S)
-    assert (felt.roll_rad, felt.tilt_deg, felt.carrying) == (None, None, None)
+    none = report_of(AT_REST._replace(orientation_wxyz=(0.0, 0.0, 0.0, 0.0)), WALL, 0.0)
+    felt = Senses().take(none, TICK_S)
+    assert (felt.roll_rad, felt.pitch_rad, felt.tilt_deg) == (None, None, None)
     felt = Senses().take(telemetry(pitch_rad=math.radians(FALLEN_DEG + 10)), TICK_S)
-    assert felt.pitch_rad is None
+    assert (felt.pitch_rad, felt.carrying) == (None, None)
     assert felt.tilt_deg == pytest.approx(FALLEN_DEG + 10)
 
 
