@@ -104,6 +104,12 @@ class Geometry(Part):
         return servos
 
     @property
+    def middle_m(self) -> Vector:
+        """The middle of the body's box, which reaches from mount to mount."""
+        xs, ys, zs = zip(*(mount.xyz_m for mount in self.leg_mounts.values()), strict=True)
+        return (max(xs) + min(xs)) / 2, (max(ys) + min(ys)) / 2, (max(zs) + min(zs)) / 2
+
+    @property
     def joints(self) -> tuple[Joint, Joint, Joint]:
         """The three joints of a leg, from the body outward."""
         first, second, third, _ = self.chain

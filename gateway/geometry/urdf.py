@@ -32,10 +32,9 @@ _COLOURS: Final = {
 def urdf(geometry: Geometry) -> str:
     """Return the URDF. Joints are named as in joint states, links as the frames of `transforms`."""
     materials = (_tag("material", _tag("color", rgba=rgba), name=name) for name, rgba in _COLOURS.items())
-    xs, ys, zs = zip(*(mount.xyz_m for mount in geometry.leg_mounts.values()), strict=True)
-    middle_m = (max(xs) + min(xs)) / 2, (max(ys) + min(ys)) / 2, (max(zs) + min(zs)) / 2
+    xs, ys, _ = zip(*(mount.xyz_m for mount in geometry.leg_mounts.values()), strict=True)
     size_m = max(max(xs) - min(xs), _LIMB_M), max(max(ys) - min(ys), _LIMB_M), BODY_HEIGHT_M
-    body = _tag("link", *_box("body", size_m, middle_m, _ZERO, BODY_KG), name=BODY)
+    body = _tag("link", *_box("body", size_m, geometry.middle_m, _ZERO, BODY_KG), name=BODY)
     fixed = _tag("joint", *_place(_ZERO, _ZERO, BASE, BODY), name=f"{BODY}_joint", type="fixed")
     legs = chain.from_iterable(_leg(geometry, leg) for leg in LEGS)
     robot = _tag("robot", *materials, _tag("link", name=BASE), body, fixed, *legs, name=geometry.name)

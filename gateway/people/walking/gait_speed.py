@@ -9,6 +9,7 @@ from typing import Final
 
 from gateway.errors import WalkError
 from gateway.geometry import MAX_SPEED_DEG_S
+from gateway.model.frames import servo_ids_of
 from gateway.people.numbers import plain
 from gateway.people.walking.feet import State
 from gateway.people.walking.gaits import Gait
@@ -65,10 +66,10 @@ def fastest(robot: Robot, before: Pose, after: Pose, seconds: float) -> tuple[fl
     """Return the speed nearest to its servo's limit, as a part of that limit, and the servo."""
     most = 0.0, 0
     for leg, angles in after.items():
-        for joint, (old, new) in enumerate(zip(before[leg], angles, strict=True), start=1):
-            allowed = robot.ranges[10 * leg + joint].max_speed_deg_s * SPEED_SPARE * seconds
+        for servo_id, old, new in zip(servo_ids_of(leg), before[leg], angles, strict=True):
+            allowed = robot.ranges[servo_id].max_speed_deg_s * SPEED_SPARE * seconds
             if old != new:
-                most = max(most, (abs(new - old) / allowed if allowed else math.inf, 10 * leg + joint))
+                most = max(most, (abs(new - old) / allowed if allowed else math.inf, servo_id))
     return most
 
 

@@ -26,9 +26,7 @@ ROUNDED_M: Final = 0.0001
 
 def centre_of_mass(robot: Robot, body: BodyPose, joints_rad: Mapping[int, Angles]) -> Vector:
     """Return the centre of mass in the ground frame (m)."""
-    mounts = [mount.xyz_m for mount in robot.geometry.leg_mounts.values()]
-    low, high = (tuple(limit(axis) for axis in zip(*mounts, strict=True)) for limit in (min, max))
-    moment = scaled(((low[0] + high[0]) / 2, (low[1] + high[1]) / 2, (low[2] + high[2]) / 2), BODY_KG)
+    moment = scaled(robot.middle_m, BODY_KG)
     for leg, angles in joints_rad.items():
         positions = robot.limbs[leg].forward(angles)
         for (begin, end), mass_kg in zip(pairwise((*positions.joints_m, positions.foot_m)), LINKS_KG, strict=True):

@@ -10,6 +10,7 @@ from gateway.errors import WalkError
 from gateway.geometry import MAX_SPEED_DEG_S, Geometry
 from gateway.geometry.kinematics import Vector
 from gateway.geometry.urdf import BODY_HEIGHT_M
+from gateway.model.frames import servo_ids_of
 from gateway.people.walking.inverse import Angles, Limb
 from gateway.people.walking.motion import BodyPose
 from schemas.calibration import Calibration
@@ -107,15 +108,14 @@ class Robot:
         """For this time (seconds) after the last start a servo may not be fed yet."""
         self.limbs = {leg: Limb(geometry, leg) for leg in LEGS}
         self.ranges = {servo_id: self._range(servo_id, ranges) for servo_id in SERVO_IDS}
-        heights_m = [mount.xyz_m[2] for mount in geometry.leg_mounts.values()]
-        self.lying_m = BODY_HEIGHT_M / 2 + _CLEARANCE_M - (max(heights_m) + min(heights_m)) / 2
+        self.middle_m = geometry.middle_m
+        self.lying_m = BODY_HEIGHT_M / 2 + _CLEARANCE_M - self.middle_m[2]
         """The height at which the body lies on the ground."""
-        _, *parts_m = (math.hypot(*part.origin_xyz_m) for part in geometry.chain)
-        coxa_m, femur_m, tibia_m = parts_m
+        _, coxa_m, femur_m, tibia_m = (math.hypot(*part.origin_xyz_m) for part in geometry.chain)
         steps = int((femur_m + tibia_m) / _REACH_STEP_M)
         self._reaches_m = tuple(coxa_m + femur_m + _REACH_STEP_M * step for step in range(-2, steps))
         """Distances (m) from its mount at which a foot may rest, the nearest (least force) below the knee."""
-        shoulder_m = (max(heights_m) + min(heights_m)) / 2 + geometry.joints[0].origin_xyz_m[2]
+        shoulder_m = self.middle_m[2] + geometry.joints[0].origin_xyz_m[2]
         self.usual_m = round(max(_HEIGHT * (tibia_m - shoulder_m), self.lying_m), 3)
         """The height at which the robot stands by default."""
         self.stance = lru_cache(maxsize=16)(self._stance)
@@ -123,19 +123,15 @@ class Robot:
 
     def angles_deg(self, leg: int, foot_m: Vector, spare_deg: float = 0.0) -> Angles:
         """Return the servos' angles for this foot position (body's frame). Raises WalkError with the limit."""
-        joints_rad = self.limbs[leg].inverse(foot_m)
-        first, second, third = (
-            self._angle_deg(10 * leg + joint, angle_rad, spare_deg)
-            for joint, angle_rad in zip(JOINTS, joints_rad, strict=True)
-        )
-        return first, second, third
+        (first, second, third), (a, b, c) = servo_ids_of(leg), self.limbs[leg].inverse(foot_m)
+        find = self._angle_deg
+        return find(first, a, spare_deg), find(second, b, spare_deg), find(third, c, spare_deg)
 
     def joints_rad(self, leg: int, angles_deg: Angles) -> Angles:
         """Return the three joint angles (radians) for a leg's commanded angles."""
-        first, second, third = (
-            self.geometry.joint_rad(10 * leg + joint, angle) for joint, angle in zip(JOINTS, angles_deg, strict=True)
-        )
-        return first, second, third
+        (first, second, third), (a, b, c) = servo_ids_of(leg), angles_deg
+        find = self.geometry.joint_rad
+        return find(first, a), find(second, b), find(third, c)
 
     def foot_m(self, leg: int, angles_deg: Angles) -> Vector:
         """Return where the foot is at these angles (degrees), in the body's frame."""
