@@ -112,8 +112,7 @@ class Walked:
     def _check_balance(self) -> None:
         engine = self.engine
         assert len(legs_that_carry(engine)) >= 3
-        joints = {leg: self.robot.joints_rad(leg, angles) for leg, angles in engine.pose.items()}
-        x, y, _ = centre_of_mass(self.robot, engine.state.body, joints)
+        x, y, _ = centre_of_mass(self.robot, engine.state.body, engine.pose)
         margin = margin_m((x, y), [engine.state.feet[leg][:2] for leg in legs_that_carry(engine)])
         self.margin_m = min(self.margin_m, margin)
         assert margin >= MARGIN_M

@@ -144,17 +144,17 @@ class Engine:
         found = self._planner.found(angles_deg)
         self.state = State(found.body, found.feet, found.pose, found.moves, found.sits, odometry=self.state.odometry)
 
-    def halt(self, legs: Iterable[int], sent: Pose | None = None) -> None:
+    def halt(self, legs: Iterable[int], sent: Pose) -> None:
         """Put down all legs but these, which somebody else has stopped, and stand still until `resume`.
 
-        `sent`: their last angles, if they differ from the latest step's.
+        `sent`: the angles that were last sent, which may differ from the latest step's.
         """
         lost = frozenset(legs)
         if not self.lost <= lost:
             self.resume()  # for those that run again
         self._wanted.clear()
         state = self.state
-        state.pose |= {leg: angles for leg, angles in (sent or {}).items() if leg in lost - self.lost}
+        state.pose |= {leg: angles for leg, angles in sent.items() if leg in lost - self.lost}
         self.lost = lost
         state.brake_s = 0.0
         for leg in self.lost:

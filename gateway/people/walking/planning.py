@@ -1,7 +1,7 @@
 """The way from one posture to another: the first of several plans that the legs can follow. Pure."""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain, pairwise, permutations
 from typing import Final
 
@@ -9,7 +9,6 @@ from gateway.errors import WalkError
 from gateway.geometry.kinematics import Vector, plus
 from gateway.geometry.model import BODY_KG, LINKS_KG
 from gateway.people.walking.gaits import TRIPODS
-from gateway.people.walking.inverse import Angles
 from gateway.people.walking.motion import BodyPose, scaled
 from gateway.people.walking.robot import LIFT_M, Pose, Robot, Stance
 from gateway.people.walking.transitions import ON_GROUND_M, Bend, Figure, Move, Shift, lowered, shift, steps
@@ -24,14 +23,14 @@ ROUNDED_M: Final = 0.0001
 """The heights of standing feet differ by up to this, since angles are known to hundredths of a degree."""
 
 
-def centre_of_mass(robot: Robot, body: BodyPose, joints_rad: Mapping[int, Angles]) -> Vector:
+def centre_of_mass(robot: Robot, body: BodyPose, pose: Pose) -> Vector:
     """Return the centre of mass in the ground frame (m)."""
     moment = scaled(robot.middle_m, BODY_KG)
-    for leg, angles in joints_rad.items():
-        positions = robot.limbs[leg].forward(angles)
+    for leg, angles in pose.items():
+        positions = robot.positions(leg, angles)
         for (begin, end), mass_kg in zip(pairwise((*positions.joints_m, positions.foot_m)), LINKS_KG, strict=True):
             moment = plus(moment, scaled(plus(begin, end), mass_kg / 2))
-    total_kg = BODY_KG + len(joints_rad) * sum(LINKS_KG)
+    total_kg = BODY_KG + len(pose) * sum(LINKS_KG)
     return body.grounded(scaled(moment, 1 / total_kg), body.turn)
 
 
@@ -167,6 +166,5 @@ def lying_deg(robot: Robot) -> dict[int, float]:
 
 def balanced(robot: Robot, figure: Figure, stand: Iterable[int]) -> bool:
     """Return whether the centre of mass is at least MARGIN_M inside the polygon of the feet that stand."""
-    joints_rad = {leg: robot.joints_rad(leg, angles) for leg, angles in figure.pose.items()}
-    x, y, _ = centre_of_mass(robot, figure.body, joints_rad)
+    x, y, _ = centre_of_mass(robot, figure.body, figure.pose)
     return margin_m((x, y), [figure.feet[leg][:2] for leg in stand]) >= MARGIN_M

@@ -11,7 +11,7 @@ from gateway.geometry import MAX_SPEED_DEG_S, Geometry
 from gateway.geometry.kinematics import Vector
 from gateway.geometry.urdf import BODY_HEIGHT_M
 from gateway.model.frames import servo_ids_of
-from gateway.people.walking.inverse import Angles, Limb
+from gateway.people.walking.inverse import Angles, LegPositions, Limb
 from gateway.people.walking.motion import BodyPose
 from schemas.calibration import Calibration
 from schemas.config import LimitsReport, ServoLimitsReport
@@ -106,7 +106,7 @@ class Robot:
         self.starts_whole = starts_whole
         self.limp_s = FEED_S if fed_singly else 0.0
         """For this time (seconds) after the last start a servo may not be fed yet."""
-        self.limbs = {leg: Limb(geometry, leg) for leg in LEGS}
+        self._limbs = {leg: Limb(geometry, leg) for leg in LEGS}
         self.ranges = {servo_id: self._range(servo_id, ranges) for servo_id in SERVO_IDS}
         self.middle_m = geometry.middle_m
         self.lying_m = BODY_HEIGHT_M / 2 + _CLEARANCE_M - self.middle_m[2]
@@ -123,19 +123,18 @@ class Robot:
 
     def angles_deg(self, leg: int, foot_m: Vector, spare_deg: float = 0.0) -> Angles:
         """Return the servos' angles for this foot position (body's frame). Raises WalkError with the limit."""
-        (first, second, third), (a, b, c) = servo_ids_of(leg), self.limbs[leg].inverse(foot_m)
+        (first, second, third), (a, b, c) = servo_ids_of(leg), self._limbs[leg].inverse(foot_m)
         find = self._angle_deg
         return find(first, a, spare_deg), find(second, b, spare_deg), find(third, c, spare_deg)
 
-    def joints_rad(self, leg: int, angles_deg: Angles) -> Angles:
-        """Return the three joint angles (radians) for a leg's commanded angles."""
+    def positions(self, leg: int, angles_deg: Angles) -> LegPositions:
+        """Return where a leg's joints and foot are at these angles (degrees), in the body's frame."""
         (first, second, third), (a, b, c) = servo_ids_of(leg), angles_deg
         find = self.geometry.joint_rad
-        return find(first, a), find(second, b), find(third, c)
+        return self._limbs[leg].forward((find(first, a), find(second, b), find(third, c)))
 
     def foot_m(self, leg: int, angles_deg: Angles) -> Vector:
-        """Return where the foot is at these angles (degrees), in the body's frame."""
-        return self.limbs[leg].forward(self.joints_rad(leg, angles_deg)).foot_m
+        return self.positions(leg, angles_deg).foot_m
 
     def _stance(self, body: BodyPose, *, walks: bool = True) -> Stance:
         """Return the stance at this pose with the largest discs. Raises WalkError if there is none.

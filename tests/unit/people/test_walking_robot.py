@@ -120,11 +120,11 @@ def test_limits_that_leave_a_servo_no_angle_are_rejected() -> None:
 
 def test_the_centre_of_mass_is_that_of_the_body_and_of_each_link() -> None:
     """Leg 1 is stretched out, so that the centre is on no axis of symmetry."""
-    joints = {leg: ROBOT.joints_rad(leg, angles) for leg, angles in {**POSE, 1: (120.0, 90.0, 90.0)}.items()}
+    pose = {**POSE, 1: (120.0, 90.0, 90.0)}
     mounts = [mount.xyz_m for mount in ROBOT.geometry.leg_mounts.values()]
     parts = [(BODY_KG, [(min(axis) + max(axis)) / 2 for axis in zip(*mounts, strict=True)])]
-    for leg, angles in joints.items():
-        positions = ROBOT.limbs[leg].forward(angles)
+    for leg, angles in pose.items():
+        positions = ROBOT.positions(leg, angles)
         ends = pairwise((*positions.joints_m, positions.foot_m))
         parts += [
             (kg, [(a + b) / 2 for a, b in zip(*link, strict=True)]) for kg, link in zip(LINKS_KG, ends, strict=True)
@@ -132,8 +132,8 @@ def test_the_centre_of_mass_is_that_of_the_body_and_of_each_link() -> None:
     total_kg = sum(kg for kg, _ in parts)
     wanted = [sum(kg * at[axis] for kg, at in parts) / total_kg for axis in range(3)]
     assert total_kg == pytest.approx(2.68)
-    assert centre_of_mass(ROBOT, BodyPose(0.2), joints) == pytest.approx([wanted[0], wanted[1], wanted[2] + 0.2])
-    leaning = centre_of_mass(ROBOT, BodyPose(0.2, 0.1, 0.0), joints)
+    assert centre_of_mass(ROBOT, BodyPose(0.2), pose) == pytest.approx([wanted[0], wanted[1], wanted[2] + 0.2])
+    leaning = centre_of_mass(ROBOT, BodyPose(0.2, 0.1, 0.0), pose)
     assert leaning[1] == pytest.approx(wanted[1] * math.cos(0.1) - wanted[2] * math.sin(0.1))
 
 
@@ -150,8 +150,7 @@ def test_a_point_is_as_far_inside_a_polygon_as_the_nearest_side() -> None:
 
 def test_a_robot_is_balanced_with_a_centimetre_to_spare() -> None:
     figure = Figure(USUAL.body, dict(USUAL.feet), dict(POSE))
-    joints = {leg: ROBOT.joints_rad(leg, angles) for leg, angles in POSE.items()}
-    x, y, _ = centre_of_mass(ROBOT, USUAL.body, joints)
+    x, y, _ = centre_of_mass(ROBOT, USUAL.body, POSE)
     for spare_m, stands in ((0.0101, True), (0.0099, False)):
         figure.feet |= {1: (x - spare_m, 9.0, 0.0), 4: (x - spare_m, -9.0, 0.0), 5: (9.0, y, 0.0)}
         assert balanced(ROBOT, figure, TRIPOD) == stands
