@@ -23,7 +23,6 @@ from schemas.gateway_state import GatewayState
 from schemas.words import Mode, Reason
 
 NOBODY_DRIVES: Final = "nobody has called drive"
-NOT_ACTIVE: Final = "the node is not active yet"
 NO_RESET: Final = "leave the emergency stop at the robot, or start the bridge with --allow-reset"
 M = TypeVar("M", JointCommands, Walking)
 
@@ -51,7 +50,7 @@ class Driving:
         self._went = ORIGIN
         """The odometry of all walks that have ended."""
         self._closed = False
-        self._why_not = self._inactive = NOT_ACTIVE
+        self._why_not = self._inactive = "the node is not active yet"
         """Why nobody may drive; empty while driving is allowed."""
 
     @property

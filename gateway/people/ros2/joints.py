@@ -4,7 +4,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from itertools import product
-from typing import Any, Final
+from typing import Final
 
 from gateway.geometry import Geometry, joint_name
 from gateway.people.walking.inverse import Angles
@@ -79,8 +79,3 @@ def legs_deg(geometry: Geometry, at_rad: Mapping[int, float]) -> dict[int, Angle
     """Return leg → degrees of its servos, clamped to 0 to 180."""
     deg = {name: min(max(geometry.servos[name].servo_deg(at), 0.0), MAX_DEG) for name, at in at_rad.items()}
     return {leg: (deg[10 * leg + 1], deg[10 * leg + 2], deg[10 * leg + 3]) for leg in LEGS if 10 * leg + 1 in deg}
-
-
-def stamp_ns(header: Any) -> int:
-    """Return a Header's stamp in ns since 1970; 0: no stamp."""
-    return int(header.stamp.sec * 1_000_000_000 + header.stamp.nanosec)

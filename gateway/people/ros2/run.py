@@ -158,7 +158,6 @@ class Reports:
         )
 
 
-_NAME: Final = "ros2"
 OPEN_NAME: Final = "ros2 (open graph)"
 """The driver's name in state and events if other machines may reach the graph."""
 WATCH_S: Final = 0.05
@@ -188,7 +187,7 @@ def serve(connect: Callable[[str], Connection], options: BridgeOptions) -> int:
                 f"ROS 2's graph is open to the network ({node.rmw} has sockets on {', '.join(found)}): all who reach "
                 "it can drive the robot. To keep it on this machine: docs/ros2.md#who-reaches-the-graph"
             )
-        name = OPEN_NAME if is_open else _NAME
+        name = OPEN_NAME if is_open else "ros2"
         with connect(name)() as client, on_end_signals(ended.set), ExitStack() as at_the_end:
             driving = Driving(client, name, shape, hint)
             at_the_end.callback(node.close)

@@ -12,7 +12,7 @@ from typing import Any, Final
 from gateway.geometry import Geometry
 from gateway.model.staleness import Staleness
 from gateway.people.ros2.driving import Driving, NotTakenError
-from gateway.people.ros2.joints import JointNames, check_reach, positions_of, stamp_ns
+from gateway.people.ros2.joints import JointNames, check_reach, positions_of
 from gateway.people.ros2.node import Node
 from gateway.people.ros2.received import SILENT_S, Rivals
 from gateway.people.walking.gaits import NUMBERS
@@ -103,9 +103,10 @@ class Topics:
                 old = self._ages.too_old(sender.hex(), sent_ns / 1e6, now_ns, now_ns)
             if old is not None:  # a link held it back
                 raise NotTakenError(old.replace("the gateway itself", "the bridge itself"))
-            header = getattr(message, "header", None)
-            if header is not None and (time_ns := stamp_ns(header)):
-                _check_time(time_ns, "has a stamp")
+            if (header := getattr(message, "header", None)) is not None:
+                stamp_ns = header.stamp.sec * 1_000_000_000 + header.stamp.nanosec
+                if stamp_ns:  # 0: it has none
+                    _check_time(stamp_ns, "has a stamp")
             rivals, now_s = self._rivals.get(topic), time.monotonic()
             if rivals is not None and not rivals.may_send(sender, now_s):
                 raise NotTakenError(f"another node publishes here, and is followed until it is silent for {SILENT_S} s")
