@@ -82,8 +82,9 @@ def times(first: Quaternion, second: Quaternion) -> Quaternion:
 
 def rotated(rotation: Quaternion, vector: Vector) -> Vector:
     """Return `vector` turned by the unit quaternion `rotation`."""
-    x, y, z, w = rotation
-    return times(times(rotation, (*vector, 0.0)), (-x, -y, -z, w))[:3]
+    (x, y, z, w), (a, b, c) = rotation, vector
+    p, q, r = 2 * (y * c - z * b), 2 * (z * a - x * c), 2 * (x * b - y * a)
+    return a + w * p + y * r - z * q, b + w * q + z * p - x * r, c + w * r + x * q - y * p
 
 
 def about(axis: Vector, angle_rad: float) -> Quaternion:

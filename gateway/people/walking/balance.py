@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from typing import Final, NamedTuple
 
 from gateway.errors import WalkError
-from gateway.geometry.kinematics import rotated
 from gateway.people.walking.motion import BodyPose
 from schemas.robot import LEGS
 from schemas.telemetry import Telemetry
@@ -180,5 +179,5 @@ def _lean(telemetry: Telemetry) -> tuple[float | None, float | None]:
     if telemetry.imu is None or telemetry.tilt_deg is None or telemetry.tilt_deg > FALLEN_DEG:
         return None, None
     w, x, y, z = telemetry.imu.orientation_wxyz
-    ahead, aside, up = rotated((-x, -y, -z, w), (0.0, 0.0, 1.0))
+    ahead, aside, up = 2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z  # not normalised
     return math.atan2(aside, up), math.atan2(-ahead, math.hypot(aside, up))

@@ -12,8 +12,8 @@ from typing import Final
 
 from gateway.errors import WalkError
 from gateway.geometry import Geometry
-from gateway.geometry.kinematics import Vector, about, from_rpy, plus, rotated
-from gateway.people.walking.motion import Matrix, apply, matrix, scaled
+from gateway.geometry.kinematics import Vector, about, from_rpy, plus, rotated, times
+from gateway.people.walking.motion import scaled
 
 Angles = tuple[float, float, float]
 """The angles of a leg's joints 1, 2 and 3; in radians here, in degrees for servos."""
@@ -42,10 +42,8 @@ class Limb:
         """Raises WalkError for a chain without the module's shape."""
         self.leg = leg
         mount = geometry.leg_mounts[leg]
-        self._mount = mount.xyz_m, matrix(from_rpy((0.0, 0.0, mount.yaw_rad)))
-        self._joints = [
-            (each.origin_xyz_m, matrix(from_rpy(each.origin_rpy_rad)), each.axis) for each in geometry.joints
-        ]
+        self._mount = mount.xyz_m, from_rpy((0.0, 0.0, mount.yaw_rad))
+        self._joints = [(each.origin_xyz_m, from_rpy(each.origin_rpy_rad), each.axis) for each in geometry.joints]
         self._tip_m = geometry.foot.origin_xyz_m
         (low, high), _, (knee_low, knee_high) = (each.limits_rad for each in geometry.joints)
         self._middle_rad = (low + high) / 2
@@ -76,12 +74,11 @@ class Limb:
         at_m, turn = self._mount
         joints_m, axes = [], []
         for (origin_m, fixed, axis), angle in zip(self._joints, joints_rad, strict=True):
-            at_m = plus(at_m, apply(turn, origin_m))
-            turn = product(turn, fixed)
+            at_m, turn = plus(at_m, rotated(turn, origin_m)), times(turn, fixed)
             joints_m.append(at_m)
-            axes.append(apply(turn, axis))
-            turn = spun(turn, axis, angle)
-        return LegPositions(tuple(joints_m), plus(at_m, apply(turn, self._tip_m)), tuple(axes))
+            axes.append(rotated(turn, axis))
+            turn = times(turn, about(axis, angle))
+        return LegPositions(tuple(joints_m), plus(at_m, rotated(turn, self._tip_m)), tuple(axes))
 
     def inverse(self, foot_m: Vector) -> Angles:
         """Return the joint angles (radians) for this foot position. Raises WalkError if the leg does not reach it."""
@@ -125,7 +122,7 @@ class Limb:
         return first, wrapped(second), wrapped(self._side * bent)
 
 
-# ---- vectors and rotations
+# ---- vectors and angles
 
 
 def minus(first: Vector, second: Vector) -> Vector:
@@ -141,30 +138,6 @@ def cross(first: Vector, second: Vector) -> Vector:
         first[1] * second[2] - first[2] * second[1],
         first[2] * second[0] - first[0] * second[2],
         first[0] * second[1] - first[1] * second[0],
-    )
-
-
-def product(first: Matrix, second: Matrix) -> Matrix:
-    """Return the matrix product: `second` in the frame that `first` has rotated."""
-    (a, b, c), (d, e, f), (g, h, i) = second
-    (r, s, t), (u, v, w), (x, y, z) = first
-    return (
-        (r * a + s * d + t * g, r * b + s * e + t * h, r * c + s * f + t * i),
-        (u * a + v * d + w * g, u * b + v * e + w * h, u * c + v * f + w * i),
-        (x * a + y * d + z * g, x * b + y * e + z * h, x * c + y * f + z * i),
-    )
-
-
-def spun(first: Matrix, axis: Vector, angle: float) -> Matrix:
-    """Return `first`, followed by a rotation (radians) about an axis of its frame. Most joints turn about z."""
-    if axis != (0.0, 0.0, 1.0):
-        return product(first, matrix(about(axis, angle)))
-    cosine, sine = math.cos(angle), math.sin(angle)
-    (a, b, c), (d, e, f), (g, h, i) = first
-    return (
-        (a * cosine + b * sine, b * cosine - a * sine, c),
-        (d * cosine + e * sine, e * cosine - d * sine, f),
-        (g * cosine + h * sine, h * cosine - g * sine, i),
     )
 
 

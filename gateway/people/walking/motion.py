@@ -12,31 +12,9 @@ from gateway.errors import WalkError
 from gateway.geometry.kinematics import Quaternion, Vector, from_rpy, rotated
 from gateway.people.numbers import plain
 
-Matrix = tuple[Vector, Vector, Vector]
-"""A rotation, by rows."""
-
 
 def scaled(vector: Vector, factor: float) -> Vector:
     return vector[0] * factor, vector[1] * factor, vector[2] * factor
-
-
-def apply(matrix: Matrix, vector: Vector) -> Vector:
-    (a, b, c), (d, e, f), (g, h, i) = matrix
-    x, y, z = vector
-    return a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
-
-
-def back(matrix: Matrix, vector: Vector) -> Vector:
-    """Return `vector` before the rotation: the product with its inverse, which is the transpose."""
-    (a, b, c), (d, e, f), (g, h, i) = matrix
-    x, y, z = vector
-    return a * x + d * y + g * z, b * x + e * y + h * z, c * x + f * y + i * z
-
-
-def matrix(rotation: Quaternion) -> Matrix:
-    """Return the rotation of a unit quaternion."""
-    x, y, z = (rotated(rotation, axis) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
-    return (x[0], y[0], z[0]), (x[1], y[1], z[1]), (x[2], y[2], z[2])
 
 
 ABSURD: Final = 10.0
@@ -126,17 +104,18 @@ class BodyPose(NamedTuple):
     """Lean forward, nose down."""
 
     @property
-    def turn(self) -> Matrix:
+    def turn(self) -> Quaternion:
         """The rotation from the body's frame into the ground frame."""
-        return matrix(from_rpy((self.roll_rad, self.pitch_rad, 0.0)))
+        return from_rpy((self.roll_rad, self.pitch_rad, 0.0))
 
-    def seen(self, point: Vector, turn: Matrix) -> Vector:
+    def seen(self, point: Vector, turn: Quaternion) -> Vector:
         """Return a point of the ground frame in the body's. `turn`: the pose's own, computed once for many points."""
-        return back(turn, (point[0], point[1], point[2] - self.height_m))
+        x, y, z, w = turn
+        return rotated((-x, -y, -z, w), (point[0], point[1], point[2] - self.height_m))
 
-    def grounded(self, point: Vector, turn: Matrix) -> Vector:
+    def grounded(self, point: Vector, turn: Quaternion) -> Vector:
         """Return a point of the body's frame in the ground frame. `turn`: as for `seen`."""
-        x, y, z = apply(turn, point)
+        x, y, z = rotated(turn, point)
         return x, y, z + self.height_m
 
 
