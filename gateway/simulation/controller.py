@@ -150,15 +150,12 @@ class SimulatedController(SpiDevice):
         for data, _ in batch:  # without pauses
             self.take(data)
 
+    # ---- the firmware
+
     def take(self, data: bytes) -> None:
         """Take the bytes of one transfer."""
         now_ns = self._clock()
         self._expire_receive(now_ns)
-        self._receive(data, now_ns)
-
-    # ---- the firmware
-
-    def _receive(self, data: bytes, now_ns: int) -> None:
         for byte in data:
             if self.dead is not None:
                 return
@@ -182,14 +179,12 @@ class SimulatedController(SpiDevice):
 
     def _expire_receive(self, now_ns: int) -> None:
         if self._body_len and now_ns >= self._give_up_ns and self.dead is None:
-            missing = self._body_len - len(self._body)
-            self._interpret(self._give_up_ns, bytes(missing) if self._announced else None)
+            self._body = self._body.ljust(self._body_len, b"\0") if self._announced else bytearray()
+            self._interpret(self._give_up_ns)
 
-    def _interpret(self, now_ns: int, rest: bytes | None = b"") -> None:
-        """Execute the bytes received, and `rest`; None: drop them."""
-        body = b"" if rest is None else bytes(self._body) + rest
-        self._body.clear()
-        self._body_len = 0
+    def _interpret(self, now_ns: int) -> None:
+        """Execute the bytes received."""
+        body, self._body, self._body_len = self._body, bytearray(), 0
         records = _RECORDS_BY_LEN_AND_TYPE.get((len(body), body[1])) if len(body) > 1 else None
         if records is None:
             return

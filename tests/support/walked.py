@@ -12,7 +12,7 @@ import pytest
 
 from gateway.people.walking.engine import Engine
 from gateway.people.walking.gait_speed import SLEW_M_S2, SLEW_RAD_S2
-from gateway.people.walking.motion import STILL, Posture, Velocity
+from gateway.people.walking.motion import STILL, Odometry, Posture, Velocity
 from gateway.people.walking.planning import MARGIN_M, centre_of_mass, margin_m
 from gateway.people.walking.robot import Pose, Robot
 from gateway.people.walking.transitions import ON_GROUND_M, Shift
@@ -79,9 +79,8 @@ class Walked:
 
     def _on_the_floor(self, leg: int) -> tuple[float, float]:
         """Return where a foot is on a floor that does not move with the robot."""
-        at, (x, y, _) = self.engine.state.odometry, self.engine.state.feet[leg]
-        cosine, sine = math.cos(at.heading_rad), math.sin(at.heading_rad)
-        return at.x_m + cosine * x - sine * y, at.y_m + sine * x + cosine * y
+        x, y, _ = self.engine.state.feet[leg]
+        return self.engine.state.odometry.then(Odometry(x, y))[:2]
 
     def _check_servos(self, after: Pose) -> None:
         for leg, angles in after.items():
@@ -94,13 +93,9 @@ class Walked:
 
     def _check_stance(self, before: dict[int, tuple[float, float, float]], stood: frozenset[int]) -> None:
         """Check that standing feet keep their places on the ground, so they move as one rigid body."""
-        engine = self.engine
-        for leg in stood & legs_that_carry(engine):
-            assert engine.state.feet[leg][2] == before[leg][2]
-        moved = {leg: (before[leg], engine.state.feet[leg]) for leg in stood & legs_that_carry(engine)}
-        legs = sorted(moved)
-        for one, other in pairwise(legs):
-            (a, b), (c, d) = moved[one], moved[other]
+        moved = [(before[leg], self.engine.state.feet[leg]) for leg in stood & legs_that_carry(self.engine)]
+        assert all(old[2] == new[2] for old, new in moved)
+        for (a, b), (c, d) in pairwise(moved):
             assert math.dist(b, d) == pytest.approx(math.dist(a, c), abs=1e-9), "two feet that stand went apart"
 
     def _check_velocity(self) -> None:
