@@ -45,9 +45,8 @@ class Engine:
         """
         self.robot = robot
         self.gait_name, self._gait = gait, gaits.gait(gait)
-        self._quick = self._gait
-        """The gait at its present tempo."""
-        self._lift_m, self._climb = LIFT_M, transitions.CLIMB
+        self._quick, self._lift_m, self._climb = gait_speed.at_tempo(self._gait, 1.0)
+        """The gait at its present tempo, and its swings."""
         self._least_tempo = gait_speed.least(robot)
         self._next_gait: str | None = None
         self.stance = robot.stance(BodyPose(robot.usual_m))

@@ -315,14 +315,14 @@ class Ride:
         engine = self._engine
         left = self._running - frozenset(error.legs)
         stands = self.phase in (Phase.RUNS, Phase.HALTED) or bool(engine.lost)
-        if not left or not stands:
-            error.legs = tuple(sorted(_ALL - left)) if stands else error.legs
+        if stands:
+            error.legs = tuple(sorted(_ALL - left))
+        if not (left and stands):
             self.failed(error)
             return frozenset()
         self._velocity = STILL
         engine.halt(_ALL - left, self._sent)
         self._running = left
-        error.legs = tuple(sorted(engine.lost))
         self._ends_by(error)
         self.phase = Phase.HALTED
         return left

@@ -20,7 +20,7 @@ from gateway.people.commands.walk.screen import REPEATED_S, SPEEDS, STOP_KEYS, K
 from gateway.people.commands.walk.script import AtOnce, EndRequests, go
 from gateway.people.terminal import Keyboard, on_end_signals
 from gateway.people.walking.gait_speed import MOST_M, MOST_RAD, SLEW_M_S2, Distance
-from gateway.people.walking.motion import STILL, BodyPose, Odometry, Posture, Velocity, WalkState
+from gateway.people.walking.motion import ORIGIN, STILL, BodyPose, Odometry, Posture, Velocity, WalkState
 from gateway.people.walking.ride import Ride
 from gateway.people.walking.transitions import LONGEST_S
 from gateway.people.walking.words import NEWS_S, Newest, ground_now, robot_now
@@ -41,7 +41,7 @@ def of(running: Collection[int], mode: Mode = Mode.ACTIVE, **changed: object) ->
 
 
 def walk(posture: Posture, *lost: int) -> WalkState:
-    return WalkState(posture, "tripod", 0.15, STILL, STILL, "", Odometry(0.0, 0.0, 0.0), lost)
+    return WalkState(posture, "tripod", 0.15, STILL, STILL, "", ORIGIN, lost)
 
 
 def partly(*partly: int) -> GatewayState:
@@ -284,7 +284,7 @@ def test_a_script_does_not_wait_forever_for_a_robot_that_comes_no_nearer() -> No
 
 
 def at(x_m: float, y_m: float = 0.0, heading_rad: float = 0.0) -> WalkState:
-    return WalkState(Posture.WALKING, "tripod", 0.15, STILL, STILL, "", Odometry(x_m, y_m, heading_rad), ())
+    return walk(Posture.WALKING)._replace(odometry=Odometry(x_m, y_m, heading_rad))
 
 
 def test_ahead_is_where_it_looks_and_it_slows_down_gently_before_the_end() -> None:
