@@ -308,9 +308,8 @@ class Engine:
             if wide:  # the more the body leans against its feet, the further out they rest
                 rest = transitions.between(rest, self.robot.widened(self.stance.body)[leg], wide)
             state.rests[leg] = rest
-            landing = carried(state.rests[leg], velocity, -(gait.stance_s + state.paused_s) / 2)
-            lands = carried(landing, velocity, -(1.0 - part) * gait.swing_s)
-            x, y, _ = transitions.between(left, lands, transitions.across(part))
+            before_s = (1.0 - part) * gait.swing_s + (gait.stance_s + state.paused_s) / 2
+            x, y, _ = transitions.between(left, carried(rest, velocity, -before_s), transitions.across(part))
         height_m = min(
             LIFT_M, swing.left[2] * (1.0 - transitions.across(part)) + self._lift_m * transitions.up(part, self._climb)
         )
