@@ -29,8 +29,6 @@ class Terrain(NamedTuple):
     slope_deg: float = 0.0
     rough_m: float = 0.0
     """The greatest height of its bumps."""
-    seed: int = 0
-    """Selects the bumps; `parsed` always uses 0."""
     step_m: float = 0.0
     """The height of a step ahead of the robot; below 0 the ground drops there."""
 

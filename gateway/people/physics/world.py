@@ -32,7 +32,7 @@ _ARMATURE_KGM2: Final = 0.01
 _JOINT_DAMPING: Final = 0.02
 _ROUGH_HALF_M: Final = 5.0
 _ROUGH_CELLS: Final = 101
-"""Bumps 10 cm apart, of each seed always the same ones; beyond these ten metres the ground is flat."""
+"""Bumps 10 cm apart, always the same ones; beyond these ten metres the ground is flat."""
 _STEP_AT_M: Final = 0.45
 """A little ahead of the front feet at the start."""
 _FLOOR, _ROBOT = 1, 2
@@ -80,7 +80,7 @@ def _lay_ground(spec: Any, terrain: Terrain, friction: list[float]) -> None:
         size, pos = [_ROUGH_HALF_M, _ROUGH_HALF_M, half_m], [x_m, 0, low_m + half_m]
         spec.worldbody.add_geom(name="step", type=mujoco.mjtGeom.mjGEOM_BOX, size=size, pos=pos, **ground)
     if terrain.rough_m:
-        heights = np.random.default_rng(terrain.seed).random(_ROUGH_CELLS**2)
+        heights = np.random.default_rng(0).random(_ROUGH_CELLS**2)
         size = [_ROUGH_HALF_M, _ROUGH_HALF_M, terrain.rough_m, 0.05]
         spec.add_hfield(name="bumps", size=size, nrow=_ROUGH_CELLS, ncol=_ROUGH_CELLS, userdata=heights)
         spec.worldbody.add_geom(name="bumps", type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname="bumps", **ground)

@@ -7,7 +7,6 @@ a Stop of anybody's, an emergency stop, the watchdog, a lost lease or link. Afte
 """
 
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Final, TypeVar
@@ -237,7 +236,7 @@ class Driving:
 
     def _end_what_is_over(self) -> None:
         """Raise the error that has ended it."""
-        if self._motion is not None and not self._motion.check(time.monotonic()):
+        if self._motion is not None and not self._motion.check():
             self._end_motion(sits=False)
 
     def _end_motion(self, *, sits: bool) -> None:

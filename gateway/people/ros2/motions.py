@@ -50,8 +50,8 @@ class JointCommands:
         self._started |= sent.keys()
         self._received_s = time.monotonic()
 
-    def check(self, now_s: float) -> bool:
-        if now_s - self._received_s > self._silent_s:
+    def check(self) -> bool:
+        if time.monotonic() - self._received_s > self._silent_s:
             raise StoppedError(f"{self.title} fell silent, and the gateway has stopped its legs", self._started)
         return True
 
@@ -100,10 +100,9 @@ class Walking:
         if gait != self._walk.state.gait:
             self._walk.walk_as(gait)
 
-    def check(self, now_s: float) -> bool:
+    def check(self) -> bool:
         if self._walk.error is not None:
             raise self._walk.error.with_traceback(None)
-        del now_s
         return not self._walk.is_over
 
     def end(self, *, sits: bool) -> None:
