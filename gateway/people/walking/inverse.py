@@ -1,14 +1,13 @@
 """Inverse kinematics: joint angles for a foot position, for the chain of the geometry file. Pure.
 
 A leg is a joint that turns about the mount's z axis, then two parallel joints across it. This shape has a solution in
-closed form. The file's numbers differ a little from the shape (`1.5708` for a right angle), so the foot is off by a
-little: the solution is computed again for a foot that much further.
+closed form. The file's numbers differ a little from the shape (`1.5708` for a right angle), which leaves the foot a
+little off. So the solution is computed again, for an aim that is moved by this difference.
 """
 
 import cmath
 import math
-from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 from gateway.errors import WalkError
 from gateway.geometry import Geometry
@@ -26,8 +25,7 @@ _PARALLEL: Final = 1e-12
 """Below this square of a distance (m²) the foot is on the first joint's axis, and any angle will do."""
 
 
-@dataclass(frozen=True, slots=True)
-class LegPositions:
+class LegPositions(NamedTuple):
     """The positions of a leg's joints and foot, and the joints' axes, in the body's frame."""
 
     joints_m: tuple[Vector, ...]
