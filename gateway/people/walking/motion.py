@@ -108,14 +108,14 @@ class BodyPose(NamedTuple):
         """The rotation from the body's frame into the ground frame."""
         return from_rpy((self.roll_rad, self.pitch_rad, 0.0))
 
-    def seen(self, point: Vector, turn: Quaternion) -> Vector:
-        """Return a point of the ground frame in the body's. `turn`: the pose's own, computed once for many points."""
-        x, y, z, w = turn
+    def seen(self, point: Vector) -> Vector:
+        """Return a point of the ground frame in the body's."""
+        x, y, z, w = self.turn
         return rotated((-x, -y, -z, w), (point[0], point[1], point[2] - self.height_m))
 
-    def grounded(self, point: Vector, turn: Quaternion) -> Vector:
-        """Return a point of the body's frame in the ground frame. `turn`: as for `seen`."""
-        x, y, z = rotated(turn, point)
+    def grounded(self, point: Vector) -> Vector:
+        """Return a point of the body's frame in the ground frame."""
+        x, y, z = rotated(self.turn, point)
         return x, y, z + self.height_m
 
 

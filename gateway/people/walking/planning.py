@@ -31,7 +31,7 @@ def centre_of_mass(robot: Robot, body: BodyPose, pose: Pose) -> Vector:
         for (begin, end), mass_kg in zip(pairwise((*positions.joints_m, positions.foot_m)), LINKS_KG, strict=True):
             moment = plus(moment, scaled(plus(begin, end), mass_kg / 2))
     total_kg = BODY_KG + len(pose) * sum(LINKS_KG)
-    return body.grounded(scaled(moment, 1 / total_kg), body.turn)
+    return body.grounded(scaled(moment, 1 / total_kg))
 
 
 def margin_m(point: Point, feet: Iterable[Point]) -> float:

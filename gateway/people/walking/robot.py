@@ -194,13 +194,12 @@ class Robot:
 
         A sentence: an error would hold the frames of all callers, and so a walk that its program drops.
         """
-        turn = body.turn
         try:
             for leg, (x, y, _) in feet.items():
                 for across, along in _DIRECTIONS if radius_m else _DIRECTIONS[:1]:
                     for up_m in (0.0, LIFT_M):
                         point = x + radius_m * across, y + radius_m * along, up_m
-                        self.angles_deg(leg, body.seen(point, turn), _SPARE_DEG)
+                        self.angles_deg(leg, body.seen(point), _SPARE_DEG)
         except WalkError as error:
             return str(error)
         return ""

@@ -102,15 +102,13 @@ class Figure:
 
     def ground(self, robot: Robot, legs: Iterable[int]) -> None:
         """Set the positions of these feet by the joints."""
-        turn = self.body.turn
         for leg in legs:
-            self.feet[leg] = self.body.grounded(robot.foot_m(leg, self.pose[leg]), turn)
+            self.feet[leg] = self.body.grounded(robot.foot_m(leg, self.pose[leg]))
 
     def place(self, robot: Robot, legs: Iterable[int]) -> None:
         """Set the joints for the positions of these feet. Raises WalkError if a leg does not reach."""
-        turn = self.body.turn
         for leg in legs:
-            self.pose[leg] = robot.angles_deg(leg, self.body.seen(self.feet[leg], turn))
+            self.pose[leg] = robot.angles_deg(leg, self.body.seen(self.feet[leg]))
 
 
 def steps(feet: Mapping[int, Vector], places: Mapping[int, Vector]) -> Iterator[Footsteps]:

@@ -19,7 +19,7 @@ from schemas.robot import LEGS
 
 ROBOT = Robot(load())
 USUAL = ROBOT.stance(BodyPose(0.154))
-POSE = {leg: ROBOT.angles_deg(leg, USUAL.body.seen(foot, USUAL.body.turn)) for leg, foot in USUAL.feet.items()}
+POSE = {leg: ROBOT.angles_deg(leg, USUAL.body.seen(foot)) for leg, foot in USUAL.feet.items()}
 TRIPOD, OTHER = [1, 4, 5], [2, 3, 6]
 
 
@@ -85,7 +85,7 @@ def test_a_servo_keeps_half_a_degree_of_its_range_free_within_discs_and_none_els
     for spare_deg, room_deg, fits in ((0.5, 0.6, True), (0.5, 0.4, False), (0.0, 0.1, True)):
         for low, high in ((room_deg, 40.0), (40.0, room_deg)):
             limited = Robot(load(), {11: Range(first - low, first + high)})
-            foot_m = USUAL.body.seen(USUAL.feet[1], USUAL.body.turn)
+            foot_m = USUAL.body.seen(USUAL.feet[1])
             if fits:
                 assert limited.angles_deg(1, foot_m, spare_deg) == POSE[1]
             else:
@@ -183,7 +183,7 @@ def test_legs_that_do_not_carry_are_folded_three_at_a_time_by_a_robot_that_lies(
         assert isinstance(move, Bend)
         assert move.paths == {leg: (found.pose[leg], lies.pose[leg]) for leg in move.paths}
     for leg, foot in found.feet.items():
-        assert foot == pytest.approx(found.body.grounded(ROBOT.foot_m(leg, found.pose[leg]), found.body.turn))
+        assert foot == pytest.approx(found.body.grounded(ROBOT.foot_m(leg, found.pose[leg])))
 
 
 def test_a_lying_robot_stands_up_by_lowering_its_feet_rising_and_stepping_to_their_places() -> None:
