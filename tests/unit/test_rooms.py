@@ -40,11 +40,10 @@ SHARED: Final = frozenset(room for row in ROOMS[:5] for room in row)
 KNOW_BOTH: Final = frozenset({"onboard", "cli", "__main__"})
 PURE: Final = ("model", "robot.core", "robot.protocol", "people.walking")
 PURE_FILES: Final = frozenset(
-    f"robot/power/{name}.py" for name in ("board", "questions")
-) | frozenset(f"simulation/{name}.py" for name in ("adapter", "board", "draw")) | frozenset(
-    f"people/ros2/{name}.py"
+    f"{name}.py"
     for name in (
-        "commanded", "joints", "messages", "parameters", "robot",
+        "robot/power/board", "robot/power/questions", "simulation/board", "people/ros2/commanded", "people/ros2/joints",
+        "people/ros2/messages", "people/ros2/parameters", "people/ros2/robot",
     )
 )  # fmt: skip
 """In rooms that also do I/O."""
