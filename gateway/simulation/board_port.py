@@ -59,19 +59,14 @@ class SimulatedAdapter:
 
     def __init__(self) -> None:
         self._open = False
-        self._line = bytearray()
+        self._line = b""
 
     def take(self, data: bytes) -> tuple[list[CanFrame], bytes]:
         """Receive bytes from the client. Return the frames for the bus, and the answer to the client."""
         frames: list[CanFrame] = []
-        answers = bytearray()
-        for byte in data:
-            if byte == OK[0]:
-                answers += self._obey(bytes(self._line), frames)
-                self._line.clear()
-            elif len(self._line) < _LONGEST:
-                self._line.append(byte)
-        return frames, bytes(answers)
+        *lines, rest = (self._line + data).split(OK)
+        self._line = rest[:_LONGEST]
+        return frames, b"".join([self._obey(line[:_LONGEST], frames) for line in lines])
 
     def text(self, frame: CanFrame) -> bytes:
         """Return the bytes that the client gets for a frame on the bus; none while the channel is closed."""
