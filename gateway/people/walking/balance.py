@@ -97,7 +97,8 @@ class Senses:
 
     def __init__(self) -> None:
         self._weight = 0.0
-        self._seen: dict[int, frozenset[bool]] = {}
+        self._seen: set[tuple[int, bool]] = set()
+        """What the sensor of each leg has reported: no contact, contact."""
         self._tilted_s = self._lifted_s = 0.0
 
     def take(self, telemetry: Telemetry | None, seconds: float, *, stands: bool = True) -> Felt:
@@ -114,11 +115,9 @@ class Senses:
                 self._weight += (total - self._weight) * (min(1.0, seconds / _WEIGHS_S) if self._weight else 1.0)
             carrying = tuple(force > _CARRIES * self._weight for force in forces)
         self._tilted_s = self._tilted_s + seconds if (tilt_deg or 0.0) > FALLEN_DEG else 0.0
-        feet = {}
-        for leg, carries in zip(LEGS, carrying or (), strict=False):
-            self._seen[leg] = self._seen.get(leg, frozenset()) | {carries}
-            if len(self._seen[leg]) > 1:
-                feet[leg] = carries
+        reported = [*zip(LEGS, carrying or (), strict=False)]
+        self._seen.update(reported)
+        feet = {leg: carries for leg, carries in reported if (leg, not carries) in self._seen}
         fault = ""
         if self._tilted_s > _FALLEN_S:
             fault = f"the body leans by {tilt_deg:.0f} degrees: it has fallen"
