@@ -10,16 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final, NamedTuple
 
-from gateway.model.frames import (
-    MAX_ANGLE_CDEG,
-    OP_START,
-    OP_STOP,
-    SETS,
-    STARTS,
-    Frame,
-    centidegrees,
-    frame_of,
-)
+from gateway.model.frames import MAX_ANGLE_CDEG, OP_START, OP_STOP, SETS, STARTS, Frame, centidegrees, frame_of
 from schemas import calibration as wire
 from schemas.robot import SERVO_IDS
 

@@ -10,24 +10,10 @@ import pytest
 from gateway.client import Client
 from gateway.people.ros2.messages import Header, JointState, Message, Odometry, Time, Twist, Vector3
 from schemas.words import Kind, Mode
-from tests.support.bridged import (
-    GEOMETRY,
-    RESTS_DEG,
-    WALKING,
-    commanded,
-    keeps,
-    rejections,
-    resting,
-    rests,
-)
+from tests.support.bridged import GEOMETRY, RESTS_DEG, WALKING, commanded, keeps, rejections, resting, rests
 from tests.support.heard import events, frames, running, states
 from tests.support.rclpy_peer import COMMANDS, DIAGNOSTICS, RclpyPeer, needs_rclpy
-from tests.support.ros2_messages import (
-    Float64,
-    Int32,
-    TwistStamped,
-    replace,
-)
+from tests.support.ros2_messages import Float64, Int32, TwistStamped, replace
 
 pytestmark = needs_rclpy
 VELOCITIES: Final = "/hexapod/cmd_vel"
