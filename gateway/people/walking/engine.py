@@ -193,9 +193,8 @@ class Engine:
             return Posture.MOVING
         if not state.sits:
             return Posture.STANDING
-        return (
-            Posture.SITTING if all(foot[2] < transitions.ON_GROUND_M for foot in state.feet.values()) else Posture.LYING
-        )
+        down = all(foot[2] < transitions.ON_GROUND_M for foot in state.feet.values())
+        return Posture.SITTING if down else Posture.LYING
 
     @property
     def pose(self) -> Pose:
@@ -268,12 +267,9 @@ class Engine:
         gait = self._quick
         began = not state.velocity.moves and not state.swings
         self._hurry(state, target, seconds)
-        stops_s = (
-            gait_speed.HALT_S
-            if self.lost or self._brakes
-            else min(gait_speed.needs_s(state.velocity), gait_speed.STOPS_WITHIN * self._gait.period_s)
-        )
-        velocity = gait_speed.slewed(state, target, seconds, stops_s)
+        halts = bool(self.lost) or self._brakes
+        brakes_s = min(gait_speed.needs_s(state.velocity), gait_speed.STOPS_WITHIN * self._gait.period_s)
+        velocity = gait_speed.slewed(state, target, seconds, gait_speed.HALT_S if halts else brakes_s)
         if velocity.moves:
             velocity = velocity.times(self._begun(state, velocity) if began else self._allowed(state, velocity))
         state.velocity = velocity
@@ -287,7 +283,7 @@ class Engine:
         for leg, swing in list(state.swings.items()):
             self._swing(state, leg, swing, seconds, felt.feet.get(leg))
         standing = [leg for leg in LEGS if leg not in state.swings]
-        lifts = velocity.moves and not (self.lost or self._brakes)
+        lifts = velocity.moves and not halts
         due = [leg for leg in standing if lifts and self._is_due(leg, state.clock)]
         stay = [leg for leg in standing if leg not in due]
         if due and len(stay) >= _LEAST_FEET and balanced(self.robot, state, stay):  # else those that are due wait
@@ -301,6 +297,7 @@ class Engine:
         gait, velocity = self._quick, state.velocity
         left = carried(swing.left, velocity, seconds)
         part = min(swing.part + seconds / gait.swing_s, 1.0)
+        across = transitions.across(part)
         if self._brakes or transitions.across(swing.part) == 1.0:  # it comes straight down
             x, y, _ = carried(state.feet[leg], velocity, seconds)
         else:
@@ -309,10 +306,8 @@ class Engine:
                 rest = transitions.between(rest, self.robot.widened(self.stance.body)[leg], wide)
             state.rests[leg] = rest
             before_s = (1.0 - part) * gait.swing_s + (gait.stance_s + state.paused_s) / 2
-            x, y, _ = transitions.between(left, carried(rest, velocity, -before_s), transitions.across(part))
-        height_m = min(
-            LIFT_M, swing.left[2] * (1.0 - transitions.across(part)) + self._lift_m * transitions.up(part, self._climb)
-        )
+            x, y, _ = transitions.between(left, carried(rest, velocity, -before_s), across)
+        height_m = min(LIFT_M, swing.left[2] * (1.0 - across) + self._lift_m * transitions.up(part, self._climb))
         if self._brakes and part < 1.0:
             height_m = gait_speed.dropped(state.feet[leg][2], seconds)
             part = max(swing.part, 0.5) if height_m else 1.0
@@ -378,10 +373,8 @@ class Engine:
         self._slowest = slowest or self._slowest
         self.scaled = target.times(cap * self._pace)
         if self._barred or self.state.goes_over(self.commanded):
-            self.limit = (
-                self._barred
-                or f"no ground under leg {', '.join(map(str, sorted(self.state.hanging)))}: it hangs over an edge"
-            )
+            legs = ", ".join(map(str, sorted(self.state.hanging)))
+            self.limit = self._barred or f"no ground under leg {legs}: it hangs over an edge"
         elif not target.moves:
             self._pace, self.limit = 1.0, self.limit if self._stuck else ""
         elif self._pace < min(cap, gait_speed.SPEED_SPARE):
