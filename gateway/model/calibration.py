@@ -44,12 +44,8 @@ class ServoMapping(NamedTuple):
     @property
     def report(self) -> wire.ServoCalibration:
         """The published form, in degrees."""
-        return wire.ServoCalibration(
-            trim_deg=self.trim_cdeg / 100,
-            inverted=self.inverted,
-            min_deg=self.min_cdeg / 100,
-            max_deg=self.max_cdeg / 100,
-        )
+        trim_deg, min_deg, max_deg = (cdeg / 100 for cdeg in (self.trim_cdeg, self.min_cdeg, self.max_cdeg))
+        return wire.ServoCalibration(trim_deg=trim_deg, inverted=self.inverted, min_deg=min_deg, max_deg=max_deg)
 
 
 AS_DRAWN: Final = ServoMapping()

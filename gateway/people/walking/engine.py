@@ -256,10 +256,8 @@ class Engine:
         self._leans_rad = min(balance.LEANS_RAD, self._leans_rad + balance.LEANS_MORE_RAD_S * seconds)
         state.body = balance.levelled(state.body, self.stance.body, felt, self._leans_rad, seconds)
         state.rise(seconds)
-        down_m = balance.lowered_by(
-            [foot[2] for leg, foot in state.feet.items() if leg not in state.swings and leg not in state.hanging],
-            seconds,
-        )
+        stand = state.feet.keys() - state.swings.keys() - state.hanging
+        down_m = balance.lowered_by([state.feet[leg][2] for leg in stand], seconds)
         if down_m:
             state.feet = {leg: (x, y, z - down_m) for leg, (x, y, z) in state.feet.items()}
 
