@@ -4,6 +4,7 @@ The ground frame lies on the ground below the body and moves with the body: x fo
 standing foot moves backward as the body moves forward.
 """
 
+import cmath
 import math
 from enum import StrEnum
 from typing import Final, NamedTuple, Self
@@ -69,9 +70,8 @@ def travelled(velocity: Velocity, seconds: float) -> tuple[float, float, float]:
 def carried(point: Vector, velocity: Velocity, seconds: float) -> Vector:
     """Return where a point on the ground is in the ground frame after this time (below 0: before)."""
     x, y, heading = travelled(velocity, seconds)
-    cosine, sine = math.cos(heading), math.sin(heading)
-    ahead, aside = point[0] - x, point[1] - y
-    return cosine * ahead + sine * aside, cosine * aside - sine * ahead, point[2]
+    from_body = cmath.rect(1.0, -heading) * complex(point[0] - x, point[1] - y)
+    return from_body.real, from_body.imag, point[2]
 
 
 class Odometry(NamedTuple):
@@ -83,12 +83,8 @@ class Odometry(NamedTuple):
 
     def then(self, further: "Odometry") -> "Odometry":
         """Return the odometry after `further`, which began here. @private"""
-        cosine, sine = math.cos(self.heading_rad), math.sin(self.heading_rad)
-        return Odometry(
-            self.x_m + cosine * further.x_m - sine * further.y_m,
-            self.y_m + sine * further.x_m + cosine * further.y_m,
-            self.heading_rad + further.heading_rad,
-        )
+        way_m = cmath.rect(1.0, self.heading_rad) * complex(further.x_m, further.y_m)
+        return Odometry(self.x_m + way_m.real, self.y_m + way_m.imag, self.heading_rad + further.heading_rad)
 
 
 ORIGIN: Final = Odometry()
