@@ -19,92 +19,76 @@ import sys
 import threading
 import time
 from datetime import UTC, datetime
-from logging.handlers import QueueHandler, QueueListener
-from queue import SimpleQueue
+from functools import partial
 from typing import Final
 
 from gateway.host.directories import runtime_directory
-from gateway.host.realtime import PAGE_PRIORITY, prefer_thread
+from gateway.host.worker import Worker
 from gateway.words.text import visible
 
 MAX_LINES_WAITING: Final = 1000
 """About 1 MB. Above this, lines are dropped."""
 
 
-class LogWriter(QueueHandler):
-    """Queues records and texts, which a QueueListener's thread writes to `descriptor`. Queuing never blocks.
+class LogWriter(logging.Handler):
+    """Writes records and texts to `descriptor` by a thread of its own. Queuing them never blocks.
 
     With concurrent callers the queue may exceed `MAX_LINES_WAITING` by a few lines.
     """
 
-    queue: SimpleQueue[logging.LogRecord | str | None]  # without a lock that a descheduled thread could hold
-
     def __init__(self, descriptor: int, formatter: logging.Formatter | None = None) -> None:
-        super().__init__(SimpleQueue())
+        super().__init__()
         self.descriptor = descriptor
         self.setFormatter(formatter)
         self.dropped = 0
         """Lines not written, because the queue was full or writing failed."""
-        self._writing = _Writing(self)
-        self._writing.start()
+        self._dropped_logged = 0
+        self._worker = Worker("log")
 
     def handle(self, record: logging.LogRecord) -> bool:
-        """Queue a record, without the handler's lock, which a descheduled thread may hold."""
-        self.emit(record)
-        return True
+        """Queue a record, without the handler's lock, which a descheduled thread may hold.
 
-    def prepare(self, record: logging.LogRecord) -> logging.LogRecord:
-        """Format the message now, since its arguments may change. The thread formats exceptions, which needs files."""
-        record.msg, record.args = record.getMessage(), None
-        return record
+        Format the message now, since its arguments may change. The thread formats exceptions, which needs files.
+        """
+        try:
+            record.msg, record.args = record.getMessage(), None
+            self.enqueue(record)
+        except Exception:  # the arguments do not fit the message
+            self.handleError(record)
+        return True
 
     def enqueue(self, record: logging.LogRecord | str) -> None:
         """Queue a record, or a text that is written unchanged. Drop it if too many wait."""
-        if self.queue.qsize() < MAX_LINES_WAITING:
-            self.queue.put_nowait(record)
+        if self._worker.waiting < MAX_LINES_WAITING:
+            self._worker.do(partial(self._write, record))
         else:
             self.dropped += 1
 
     def stop(self, timeout_s: float) -> None:
         """Write the queued lines and end the thread. Give up after `timeout_s`."""
-        self.queue.put_nowait(None)
-        if (thread := self._writing._thread) is not None:
-            thread.join(timeout_s)
-
-
-class _Writing(QueueListener):
-    """The thread of a LogWriter. It holds no handler's lock while it writes, since `logging.shutdown` takes these."""
-
-    def __init__(self, log_writer: LogWriter) -> None:
-        super().__init__(log_writer.queue)
-        self._log_writer = log_writer
-        self._dropped_logged = 0
-
-    def _monitor(self) -> None:
-        prefer_thread(PAGE_PRIORITY)
-        super()._monitor()  # type: ignore[misc]  # missing in typeshed
-
-    def handle(self, record: logging.LogRecord | str) -> None:
-        log_writer = self._log_writer
-        try:
-            self._write(record)
-            missing = log_writer.dropped - self._dropped_logged
-            if missing and log_writer.queue.qsize() <= MAX_LINES_WAITING // 2:
-                self._dropped_logged += missing
-                why = f"{missing} lines were dropped here, since they were not read in time"
-                self._write(logging.LogRecord(__name__, logging.WARNING, __file__, 0, why, None, None))
-        except Exception:  # a full disk, a reader that ended, a line that cannot be rendered: skip the line
-            log_writer.dropped += 1
+        self._worker.close(timeout_s)
 
     def _write(self, record: logging.LogRecord | str) -> None:
-        text = record if isinstance(record, str) else f"{self._log_writer.format(record)}\n"
+        """Write on the thread. It holds no handler's lock, since `logging.shutdown` takes these."""
+        try:
+            self._write_all(record)
+            missing = self.dropped - self._dropped_logged
+            if missing and self._worker.waiting <= MAX_LINES_WAITING // 2:
+                self._dropped_logged += missing
+                why = f"{missing} lines were dropped here, since they were not read in time"
+                self._write_all(logging.LogRecord(__name__, logging.WARNING, __file__, 0, why, None, None))
+        except Exception:  # a full disk, a reader that ended, a line that cannot be rendered: skip the line
+            self.dropped += 1
+
+    def _write_all(self, record: logging.LogRecord | str) -> None:
+        text = record if isinstance(record, str) else f"{self.format(record)}\n"
         data = text.encode(errors="backslashreplace")
         # Unbuffered: if a blocked thread held a buffer's lock, the interpreter would abort at its end.
         while data:
             try:
-                data = data[os.write(self._log_writer.descriptor, data) :]
+                data = data[os.write(self.descriptor, data) :]
             except BlockingIOError:  # another program has made the shared terminal non-blocking
-                select.select([], [self._log_writer.descriptor], [])
+                select.select([], [self.descriptor], [])
 
 
 class _Line(threading.local):
