@@ -2,13 +2,11 @@
 
 import argparse
 import sys
-import tempfile
 from pathlib import Path
 
 from release.build import ROOT, build, epoch, version
-from release.deb import PROCESSORS, deb, dependencies
-from release.documents import sbom
-from release.sums import SIGNATURE, SUMS, sign, write_sums
+from release.deb import PROCESSORS, deb_with_dependencies
+from release.documents import SIGNATURE, SUMS, sbom, sign, write_sums
 
 
 def main(arguments: list[str]) -> int:
@@ -24,10 +22,7 @@ def main(arguments: list[str]) -> int:
             path.unlink()
     released, when = version(), epoch()
     made = [*build(folder, released, when), sbom(folder, released, when)]
-    for architecture in PROCESSORS:
-        with tempfile.TemporaryDirectory() as temporary:
-            packages = dependencies(Path(temporary), architecture)
-            made.append(deb(folder, made[0], packages, released, when, architecture))
+    made += [deb_with_dependencies(folder, made[0], released, when, architecture) for architecture in PROCESSORS]
     write_sums(folder, made)
     if options.key is not None:
         sign(folder, options.key)

@@ -57,7 +57,7 @@ def build(folder: Path, released: str, when: int) -> list[Path]:
         run([*command, str(lock), "--out-dir", str(made), str(sources)], environment)
         wheel, sdist = next(made.glob("*.whl")), next(made.glob("*.tar.gz"))
         (folder / wheel.name).write_bytes(wheel.read_bytes())
-        (folder / sdist.name).write_bytes(_plain(sdist.read_bytes(), when))
+        (folder / sdist.name).write_bytes(plain(sdist.read_bytes(), when))
         return [folder / wheel.name, folder / sdist.name]
 
 
@@ -77,17 +77,6 @@ def _copy_sources(to: Path, released: str, when: int) -> None:
         os.utime(path, (when, when))
 
 
-def plain_tar(members: dict[str, bytes], when: int, modes: dict[str, int] | None = None) -> bytes:
-    """A tar of these files, without traces of the machine that wrote it."""
-    written = io.BytesIO()
-    with tarfile.open(fileobj=written, mode="w", format=tarfile.PAX_FORMAT) as archive:
-        for name in sorted(members):
-            entry = tarfile.TarInfo(name)
-            entry.size, entry.mtime, entry.mode = len(members[name]), when, (modes or {}).get(name, 0o644)
-            archive.addfile(entry, io.BytesIO(members[name]))
-    return written.getvalue()
-
-
 def run(command: list[str], environment: dict[str, str] | None = None, data: bytes | None = None) -> bytes:
     """Its standard output. Raises SystemExit with its error output."""
     done = subprocess.run(command, cwd=ROOT, env=environment, input=data, umask=0o022, capture_output=True, check=False)
@@ -104,17 +93,16 @@ def _git(*arguments: str) -> str:
         return ""
 
 
-def _plain(sdist: bytes, when: int) -> bytes:
+def plain(sdist: bytes, when: int) -> bytes:
     """The same files, as a tar.gz without owners, times and order of a machine."""
-    members: dict[str, bytes] = {}
-    modes: dict[str, int] = {}
-    with tarfile.open(fileobj=io.BytesIO(sdist)) as archive:
-        for entry in archive:
-            content = archive.extractfile(entry)
-            if content is not None:
-                members[entry.name] = content.read()
-                modes[entry.name] = 0o755 if entry.mode & 0o100 else 0o644
     written = io.BytesIO()
-    with gzip.GzipFile(filename="", fileobj=written, mode="wb", mtime=when) as packed:
-        packed.write(plain_tar(members, when, modes))
+    with (
+        tarfile.open(fileobj=io.BytesIO(sdist)) as found,
+        gzip.GzipFile(filename="", fileobj=written, mode="wb", mtime=when) as packed,
+        tarfile.open(fileobj=packed, mode="w", format=tarfile.PAX_FORMAT) as archive,
+    ):
+        for each in sorted((each for each in found if each.isfile()), key=lambda each: each.name):
+            entry = tarfile.TarInfo(each.name)
+            entry.size, entry.mtime, entry.mode = each.size, when, 0o755 if each.mode & 0o100 else 0o644
+            archive.addfile(entry, found.extractfile(each))
     return written.getvalue()

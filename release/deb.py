@@ -47,18 +47,15 @@ def dependencies(folder: Path, architecture: str) -> Path:
     export = [UV, "export", "--quiet", "--frozen", "--no-config", "--no-header", "--no-annotate"]
     export += ["--format", "requirements.txt", "--no-emit-project", "--no-emit-package", "spidev", *EXTRAS]
     requirements.write_bytes(run(export))
-    install = [
-        UV,
-        "pip",
-        "install",
-        "--quiet",
-        "--no-config",
-        "--require-hashes",
-        "--no-deps",
+    install = [UV, "pip", "install", "--quiet", "--no-config", "--require-hashes", "--no-deps"]
+    install += [
         "--only-binary",
         ":all:",
+        "--link-mode",
+        "copy",
+        "--python-platform",
+        f"{PROCESSORS[architecture]}-{LIBC}",
     ]
-    install += ["--link-mode", "copy", "--python-platform", f"{PROCESSORS[architecture]}-{LIBC}"]
     together = folder / "together"
     for python in PYTHONS:
         of_one = folder / python
@@ -98,6 +95,12 @@ def deb(to: Path, wheel: Path, packages: Path, released: str, when: int, archite
         options = ["--root-owner-group", "--threads-max=1", f"-Z{pack}", "-z3"]
         run(["dpkg-deb", *options, "--build", str(root), str(path)], environment)
     return path
+
+
+def deb_with_dependencies(to: Path, wheel: Path, released: str, when: int, architecture: str) -> Path:
+    """The package of this wheel of ours, with the lock's dependencies."""
+    with tempfile.TemporaryDirectory() as temporary:
+        return deb(to, wheel, dependencies(Path(temporary), architecture), released, when, architecture)
 
 
 def _fill(root: Path, full: str, wheel: Path, packages: Path) -> None:
@@ -163,10 +166,8 @@ def main(arguments: Sequence[str]) -> int:
     options.to.mkdir(parents=True, exist_ok=True)
     released, when = version(), epoch()
     with tempfile.TemporaryDirectory() as temporary:
-        folder = Path(temporary)
-        wheel, _ = build(folder, released, when)
-        packages = dependencies(folder, options.architecture)
-        path = deb(options.to, wheel, packages, released, when, options.architecture)
+        wheel, _ = build(Path(temporary), released, when)
+        path = deb_with_dependencies(options.to, wheel, released, when, options.architecture)
     sys.stdout.write(f"{path}\n")
     return 0
 

@@ -2,6 +2,7 @@
 
 import hashlib
 import io
+import os
 import re
 import tarfile
 import tomllib
@@ -9,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from release.build import ROOT, plain_tar
-from release.sums import sums
+from release.build import ROOT, plain
+from release.documents import SUMS, write_sums
 from tests.support import lacks, schedule
 
 OFFERED = re.compile(r"^([A-Za-z0-9_.-]+)")
@@ -33,21 +34,28 @@ def test_the_lock_has_every_dependency_with_its_hashes() -> None:
 def test_sums_are_as_sha256sum_reads_them(tmp_path: Path) -> None:
     for name, data in (("b", b"1"), ("a", b"")):
         (tmp_path / name).write_bytes(data)
-    text = sums([tmp_path / "b", tmp_path / "a"])
-    assert text.splitlines()[0] == f"{hashlib.sha256(b'').hexdigest()}  a"
-    assert text.splitlines()[1] == f"{hashlib.sha256(b'1').hexdigest()}  b"
+    write_sums(tmp_path, [tmp_path / "b", tmp_path / "a"])
+    lines = [f"{hashlib.sha256(data).hexdigest()}  {name}\n" for name, data in (("a", b""), ("b", b"1"))]
+    assert (tmp_path / SUMS).read_text() == "".join(lines)
 
 
-def test_an_archive_says_nothing_of_the_machine() -> None:
-    first, second = (
-        plain_tar(dict(order), 1_700_000_000) for order in ([("a", b"1"), ("b", b"2")], [("b", b"2"), ("a", b"1")])
-    )
-    assert first == second
-    with tarfile.open(fileobj=io.BytesIO(first)) as archive:
+def test_an_archive_says_nothing_of_the_machine(tmp_path: Path) -> None:
+    for name in "ab":
+        (tmp_path / name).write_text(name)
+    (tmp_path / "a").chmod(0o750)
+    made: list[bytes] = []
+    for order in ("ab", "ba"):
+        written = io.BytesIO()
+        with tarfile.open(fileobj=written, mode="w:gz") as machines:
+            for name in order:
+                os.utime(tmp_path / name, (len(made), len(made)))
+                machines.add(tmp_path / name, name)
+        made.append(plain(written.getvalue(), 1_700_000_000))
+    assert made[0] == made[1]
+    with tarfile.open(fileobj=io.BytesIO(made[0])) as archive:
         entries = archive.getmembers()
-    assert {(each.mtime, each.uid, each.gid, each.uname, each.mode) for each in entries} == {
-        (1_700_000_000, 0, 0, "", 0o644)
-    }
+    assert [(each.name, each.mode) for each in entries] == [("a", 0o755), ("b", 0o644)]
+    assert {(each.mtime, each.uid, each.gid, each.uname) for each in entries} == {(1_700_000_000, 0, 0, "")}
 
 
 TESTS = Path(__file__).parents[1]

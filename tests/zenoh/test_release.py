@@ -15,8 +15,7 @@ from pathlib import Path
 import pytest
 
 from release.build import ROOT, UV
-from release.documents import EXTRAS
-from release.sums import SUMS, sign, write_sums
+from release.documents import EXTRAS, SUMS, sign, write_sums
 
 LEFT_OUT = shutil.ignore_patterns(".git", ".venv", "__pycache__", ".*_cache", "dist", "build", "*.egg-info", "tests")
 WHEN = "1700000000"
