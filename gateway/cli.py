@@ -41,7 +41,7 @@ _PACKAGED = (Path(__file__).parents[1] / "units/hexapod-gateway.service").is_fil
 
 
 class _Commands(TyperGroup):
-    """All commands in their panels. Removes pydantic's prefix from Typer's error messages."""
+    """All commands in their panels."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         del ctx
@@ -62,13 +62,6 @@ class _Commands(TyperGroup):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         _name_no_type_of_flags(self, ctx)
         return super().parse_args(ctx, args)
-
-    def invoke(self, ctx: Any) -> Any:
-        try:
-            return super().invoke(ctx)
-        except typer.BadParameter as error:
-            error.message = error.message.removeprefix("Value error, ")
-            raise
 
 
 def _name_no_type_of_flags(command: Any, ctx: Any) -> None:

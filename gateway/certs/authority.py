@@ -55,8 +55,8 @@ class KeyPair(NamedTuple):
 
     def files(self, stem: Path) -> dict[Path, bytes]:
         """Return the two files of the pair: the key (0600) and the certificate."""
-        names = (stem.with_name(f"{stem.name}.{suffix}") for suffix in ("key", "pem"))
-        return dict(zip(names, (self.key_pem(), self.certificate_pem()), strict=True))
+        contents = {"key": self.key_pem(), "pem": self.certificate_pem()}
+        return {stem.with_name(f"{stem.name}.{suffix}"): data for suffix, data in contents.items()}
 
 
 def make_ca(now: dt.datetime, hosts: Sequence[str] = ()) -> KeyPair:

@@ -10,7 +10,7 @@ import re
 import stat
 import zipfile
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
@@ -130,14 +130,11 @@ def renew(directory: Path, name: str, *, hosts: Sequence[str] = (), days: int = 
 @contextmanager
 def _alone(directory: Path) -> Iterator[None]:
     """Context for a change of the list: two at once would each sign a list without the other's entry."""
-    with ExitStack() as stack:
-        try:
-            stack.enter_context(durable.locked(directory / revocation.REVOCATION_FILE))
-        except OSError as error:
-            raise ConfigError(
-                f"cannot write in {directory}: {error.strerror}; give the folder of `certs init`"
-            ) from error
-        yield
+    try:
+        with durable.locked(directory / revocation.REVOCATION_FILE):
+            yield
+    except OSError as error:
+        raise ConfigError(f"cannot write in {directory}: {error.strerror}; give the folder of `certs init`") from error
 
 
 def revoke(directory: Path, name: str) -> RevocationList:

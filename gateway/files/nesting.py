@@ -6,7 +6,6 @@ Zenoh's parser of JSON5 ends the process by SIGSEGV for 100 000 brackets. Python
 
 import re
 import tomllib
-from contextlib import suppress
 from typing import Any, Final
 
 from gateway.words.text import decimal_comma
@@ -46,14 +45,16 @@ def read_toml(data: bytes) -> dict[str, Any]:
     _check_size(data)
     if any(line.count(b".") > MOST_DOTS for line in data.splitlines()):
         raise ValueError(f"has a line with more than {MOST_DOTS} dots")
-    if b"\0" in data or not _is_utf_8(data):
+    if b"\0" in data:
         raise ValueError(NO_TEXT)
     try:
         values = tomllib.loads(data.decode("utf-8-sig"))
+    except UnicodeDecodeError:
+        raise ValueError(NO_TEXT) from None
     except RecursionError:
         raise ValueError(_TOO_DEEP) from None
     except ValueError as error:
-        cause = decimal_comma(data.decode(errors="replace"))
+        cause = decimal_comma(data.decode())
         raise ValueError(f"is not TOML: {cause or error}") from error
     level: list[Any] = [values]
     for _ in range(MOST_LEVELS):
@@ -62,13 +63,6 @@ def read_toml(data: bytes) -> dict[str, Any]:
     if level:
         raise ValueError(_TOO_DEEP)
     return values
-
-
-def _is_utf_8(data: bytes) -> bool:
-    with suppress(UnicodeDecodeError):
-        data.decode()
-        return True
-    return False
 
 
 def _check_size(data: bytes) -> None:

@@ -19,8 +19,7 @@ import zenoh
 from gateway import __version__, certs
 from gateway.errors import GatewayError
 from gateway.host import descriptors, effective, logs, realtime
-from gateway.host.directories import runtime_directory, state_directory
-from gateway.host.mounts import forgets
+from gateway.host.directories import forgets, runtime_directory, state_directory
 from gateway.host.settings_reader import ForStops
 from gateway.host.worker import in_thread
 from gateway.model.black_box import STOP_FACTS

@@ -16,8 +16,8 @@ from typing import IO
 import pytest
 
 from gateway.host import effective
+from gateway.host.directories import FORGETS, forgets, mount_of
 from gateway.host.logs import MAX_LINES_WAITING, LogStream, LogWriter
-from gateway.host.mounts import FORGETS, forgets, mount_of
 from gateway.host.settings_reader import ForStops
 from gateway.host.shared_page import Sensed, SensedPage, ServoPage
 from gateway.model.frames import Framing

@@ -12,7 +12,7 @@ import pytest
 
 from gateway.client import Client, GatewayError
 from gateway.files import durable
-from gateway.host.mounts import forgets
+from gateway.host.directories import forgets
 from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.model.frames import decode
 from gateway.people.client.payloads import calibration_payload

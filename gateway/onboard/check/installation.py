@@ -18,7 +18,7 @@ from typing import Final
 
 from gateway import certs
 from gateway.errors import ConfigError
-from gateway.host.mounts import FORGETS, mount_of
+from gateway.host.directories import FORGETS, mount_of
 from gateway.onboard import release_switch, whole
 from gateway.onboard.check.table import LET_READ, RESTART, SERVICE, CheckedRobot, Result, failure, first, warning, well
 from gateway.onboard.setup.machine import has_wrong_rights
