@@ -58,8 +58,7 @@ def neighbours(device: str, root: Path = ROOT_DIR) -> list[tuple[str, str]]:
     Devices without a driver are left out, and those with the device's own (spidev), which programs may use.
     """
     own = _spi_device(device, root)
-    others = [each for each in sorted(own.parent.glob(f"{own.parent.name}.*")) if each != own]
-    found = [(each.name, _bound(each)) for each in others]
+    found = [(each.name, _bound(each)) for each in sorted(own.parent.glob(f"{own.parent.name}.*"))]
     return [(name, driver) for name, driver in found if driver is not None and driver != _bound(own)]
 
 

@@ -3,6 +3,7 @@
 import ast
 import datetime as dt
 import errno
+import json
 import os
 import re
 import socket
@@ -182,59 +183,51 @@ class Scene:
         self.name, self.plant, self.lines, self.patch, self.probes = name, plant, lines, patch, probes
 
 
-def here(tree: Mapping[str, Any] | None = None, **sections: Any) -> Callable[[Path], CheckedRobot]:
-    """Return settings, and a machine with this tree."""
+def here(
+    tree: Mapping[str, Any] | None = None,
+    files: Mapping[str, str] = MappingProxyType({}),
+    act: Callable[[Path], object] = lambda _: None,
+    **sections: Any,
+) -> Callable[[Path], CheckedRobot]:
+    """Return settings, in which ROOT is the folder, and a machine with this tree and these files, after `act`."""
 
     def plant(root: Path) -> CheckedRobot:
         if tree is not None:
             MachineTree(root, **tree)
-        return robot(root, **sections)
+        for name, text in files.items():
+            (root / name).parent.mkdir(parents=True, exist_ok=True)
+            (root / name).write_text(text)
+        act(root)
+        return robot(root, **json.loads(json.dumps(sections).replace("ROOT", str(root))))
 
     return plant
 
 
-def neighbours(root: Path) -> CheckedRobot:
+def neighbours(root: Path) -> None:
     tree = MachineTree(root)
     tree.add("spi0.1", "fb_st7789v")
     tree.add("spi0.2", "mcp251x")
-    return robot(root)
-
-
-def files(contents: Mapping[str, str], **sections: Any) -> Callable[[Path], CheckedRobot]:
-    def plant(root: Path) -> CheckedRobot:
-        for name, text in contents.items():
-            (root / name).parent.mkdir(parents=True, exist_ok=True)
-            (root / name).write_text(text)
-        return robot(root, **sections)
-
-    return plant
+    tree.add("spi0.3", None)
 
 
 def clocked(speed_hz: int, *lines: str, **spi: Any) -> Scene:
     return Scene("SPI speed", here(spi={"speed_hz": speed_hz, **spi}), *lines)
 
 
+def named(host: str = "127.0.0.1", days: int = certs.LEAF_DAYS) -> Callable[[Path], CheckedRobot]:
+    """Return a robot whose certificate is for this host."""
+    return here(
+        act=lambda root: certs.folder.init(root / "D", [host], days=days), zenoh={"config": "ROOT/D/gateway.json5"}
+    )
+
+
 def dated(days_left: int, *lines: str) -> Scene:
     """Return the robot's certificate, which is good for 90 days."""
-
-    def plant(root: Path) -> CheckedRobot:
-        certs.folder.init(root / "D", ["127.0.0.1"], days=90)
-        return robot(root, zenoh={"config": str(root / "D" / "gateway.json5")})
 
     def read(look: CheckedRobot) -> Iterator[Result | None]:
         return iter(list(security.certificates(look, NOW + (90 - days_left) * DAY))[1:2])
 
-    return Scene("certificates", plant, *lines, probes=(read,))
-
-
-def named(host: str) -> Callable[[Path], CheckedRobot]:
-    """Return a robot whose certificate is for this host."""
-
-    def plant(root: Path) -> CheckedRobot:
-        certs.folder.init(root / "D", [host])
-        return robot(root, zenoh={"config": str(root / "D" / "gateway.json5")})
-
-    return plant
+    return Scene("certificates", named(days=90), *lines, probes=(read,))
 
 
 def unit(**properties: str) -> Callable[[Path], CheckedRobot]:
@@ -248,7 +241,7 @@ def brought(*names: str, damaged: bool = False, of: str = "other") -> Callable[[
     `damaged`: the list in the state directory is.
     """
 
-    def plant(root: Path) -> CheckedRobot:
+    def act(root: Path) -> None:
         for each in ("own", "other"):
             certs.folder.init(root / each, ["127.0.0.1"])
             certs.folder.issue(root / each, "anna", "operator")
@@ -260,9 +253,8 @@ def brought(*names: str, damaged: bool = False, of: str = "other") -> Callable[[
         for name in names:
             source = root / "other" / name if of == "other" else root / "own" / name.replace("gateway", of)
             (root / "own" / name).write_bytes(source.read_bytes())
-        return robot(root, zenoh={"config": str(root / "own/gateway.json5")}, state={"path": str(root / "state")})
 
-    return plant
+    return here(act=act, zenoh={"config": "ROOT/own/gateway.json5"}, state={"path": "ROOT/state"})
 
 
 def raises(error: Exception, cause: Exception | None = None) -> Callable[..., None]:
@@ -291,8 +283,8 @@ def uart(path: str) -> Callable[[Path], CheckedRobot]:
 
 
 def console(names: str) -> Callable[[Path], CheckedRobot]:
-    tree = {"sys/class/tty/console/active": f"{names}\n"}
-    return files(tree, wire={"name": "elkapod-2025"}, controller={"uart": "/dev/null"})
+    active = {"sys/class/tty/console/active": f"{names}\n"}
+    return here(files=active, wire={"name": "elkapod-2025"}, controller={"uart": "/dev/null"})
 
 
 def not_tried(*_: object) -> None:
@@ -306,27 +298,22 @@ def built(version: str) -> Callable[[Path], CheckedRobot]:
 
 
 def kept(calibration: RobotCalibration | str) -> Callable[[Path], CheckedRobot]:
-    def plant(root: Path) -> CheckedRobot:
+    def act(root: Path) -> None:
         path = root / "calibration.toml"
-        if isinstance(calibration, str):
-            path.write_text(calibration)
-        else:
-            calibrations.write(path, calibration)
-        return robot(root, state={"path": str(root)})
+        path.write_text(calibration) if isinstance(calibration, str) else calibrations.write(path, calibration)
 
-    return plant
+    return here(act=act, state={"path": "ROOT"})
 
 
 def access(change: Callable[[str], str]) -> Callable[[Path], CheckedRobot]:
     """Return an access control that differs from what this release makes."""
 
-    def plant(root: Path) -> CheckedRobot:
+    def act(root: Path) -> None:
         certs.folder.init(root, ["127.0.0.1"], port=7448)
         file = root / "gateway.json5"
         file.write_text(change(file.read_text()))
-        return robot(root, zenoh={"config": str(file), "allow_insecure": True})
 
-    return plant
+    return here(act=act, zenoh={"config": "ROOT/gateway.json5", "allow_insecure": True})
 
 
 CAN, ETHERNET = 280, 1
@@ -334,8 +321,8 @@ CAN, ETHERNET = 280, 1
 
 def interface(kind: int | None, flags: int = 0) -> Callable[[Path], CheckedRobot]:
     """Return a network interface in the kernel's files."""
-    tree = {"sys/class/net/can7/type": f"{kind}\n", "sys/class/net/can7/flags": f"{flags:#x}\n"}
-    return files({} if kind is None else tree, power={"interface": "socketcan", "channel": "can7"})
+    found = {"sys/class/net/can7/type": f"{kind}\n", "sys/class/net/can7/flags": f"{flags:#x}\n"}
+    return here(files={} if kind is None else found, power={"interface": "socketcan", "channel": "can7"})
 
 
 PI_5 = "Raspberry Pi 5 Model B Rev 1.0"
@@ -343,6 +330,7 @@ RENEW = (
     "where ca.key is: hexapod-gateway certs renew gateway --dir DIR, and copy gateway.pem here, then: sudo systemctl"
 )
 TAKES = "an emergency stop takes {} ms to write"
+HWMON = "sys/class/hwmon/hwmon1"
 CPU = "sys/devices/system/cpu/cpu0/cpufreq/scaling_"
 GOOD = ("ca.pem is good until", "gateway.pem is good until")
 DENIED = {"os.access": lambda *_: False}
@@ -403,10 +391,10 @@ SCENES = (
     Scene("user", served(here()), *("failure user: there is no group",) * 3, patch={"grp.getgrall": list}),
     Scene("state", unit(), "warning … is on overlay, which a boot empties", probes=(installation.state_disk,),
           patch={MOUNT: lambda _: ("/", "overlay")}),
-    Scene("state", files({"etc/fstab": "# /dev/a /\n/dev/b / ext4\n\n/dev/c /var/lib/hexapod-gateway ext4 nofail\n"}),
+    Scene("state", here(files={"etc/fstab": "# /dev/a /\n/dev/b / ext4\n\n/dev/c /var/lib/hexapod-gateway ext4 x"}),
           "failure state: /dev/c is not mounted on /var/lib/hexapod-gateway: … sudo mount /var/lib/hexapod-gateway "
           "&& sudo systemctl reset", probes=(installation.state_disk,), patch={MOUNT: lambda _: ("/", "ext4")}),
-    Scene("state", files({"etc/fstab": "/dev/c /srv/x ext4"}, state={"path": "/srv/x/y"}), probes=(
+    Scene("state", here(files={"etc/fstab": "/dev/c /srv/x ext4"}, state={"path": "/srv/x/y"}), probes=(
           installation.state_disk,), patch={MOUNT: lambda _: ("/srv/x", "ext4")}),
     *(Scene("disk", here(), *lines, patch=disk(**differs)) for differs, lines in (
           ({}, ()),
@@ -415,23 +403,23 @@ SCENES = (
           ({"f_favail": 9}, ["failure disk: /mnt has … and room for 9 files … sudo du -xh /mnt"]))),
     *(Scene("disk", here(), *lines, patch={**disk(f_bavail=free_kb), MOUNT: lambda _: ("/run", "tmpfs")})
       for free_kb, lines in ((1 << 10, ()), (900, ["failure disk: /run has 0 MB free … the service cannot start → "]))),
-    Scene("Wi-Fi", files({"sys/class/net/wlan0/phy80211/x": ""}), "warning Wi-Fi: wlan0 saves power … sudo tee",
+    Scene("Wi-Fi", here(files={"sys/class/net/wlan0/phy80211/x": ""}), "warning Wi-Fi: wlan0 saves power … sudo tee",
           patch={"fcntl.ioctl": lambda *_: None}),
-    Scene("processor", files({f"{CPU}governor": "powersave", f"{CPU}driver": "cpufreq-dt"}),
+    Scene("processor", here(files={f"{CPU}governor": "powersave", f"{CPU}driver": "cpufreq-dt"}),
           "warning processor: its governor is powersave … sudo tee /etc/tmpfiles.d/"),
-    Scene("processor", files({f"{CPU}governor": "powersave", f"{CPU}driver": "intel_pstate"})),
-    Scene("processor", files({f"{CPU}governor": "ondemand", f"{CPU}driver": "cpufreq-dt"})),
-    Scene("supply", files({"sys/class/hwmon/hwmon1/name": "rpi_volt\n", "sys/class/hwmon/hwmon1/in0_lcrit_alarm":
-                           "1\n"}), "warning supply: this Raspberry Pi's supply voltage is low"),
-    Scene("supply", files({"sys/class/hwmon/hwmon1/name": "rpi_volt", "sys/class/hwmon/hwmon1/in0_lcrit_alarm": "0"})),
-    Scene("needrestart", files({"usr/sbin/needrestart": ""}), "warning needrestart: … restarts the service after"),
-    Scene("needrestart", files({"usr/sbin/needrestart": "", NEEDRESTART: f"# {KEEPS}"}), "warning … does not forbid"),
-    Scene("needrestart", files({"usr/sbin/needrestart": "", NEEDRESTART: KEEPS})),
-    Scene("needrestart", files({})),
-    Scene("reboots", files({APT: f'// {REBOOT} "false";\n{REBOOT} "true";\n'}),
+    Scene("processor", here(files={f"{CPU}governor": "powersave", f"{CPU}driver": "intel_pstate"})),
+    Scene("processor", here(files={f"{CPU}governor": "ondemand", f"{CPU}driver": "cpufreq-dt"})),
+    Scene("supply", here(files={f"{HWMON}/name": "rpi_volt\n", f"{HWMON}/in0_lcrit_alarm": "1\n"}),
+          "warning supply: this Raspberry Pi's supply voltage is low"),
+    Scene("supply", here(files={f"{HWMON}/name": "rpi_volt", f"{HWMON}/in0_lcrit_alarm": "0"})),
+    Scene("needrestart", here(files={"usr/sbin/needrestart": ""}), "warning needrestart: … restarts the service after"),
+    Scene("needrestart", here(files={"usr/sbin/needrestart": "", NEEDRESTART: f"# {KEEPS}"}), "does not forbid it"),
+    Scene("needrestart", here(files={"usr/sbin/needrestart": "", NEEDRESTART: KEEPS})),
+    Scene("needrestart", here()),
+    Scene("reboots", here(files={APT: f'// {REBOOT} "false";\n{REBOOT} "true";\n'}),
           "warning reboots: … reboots this machine … sudo tee /etc/apt/apt.conf.d/99"),
-    Scene("reboots", files({APT: f'{REBOOT} "true";', f"{APT}-own": f'{REBOOT} "0";'})),
-    Scene("reboots", files({APT: f'//{REBOOT} "true";\n{REBOOT}-Time "02:00";'})),
+    Scene("reboots", here(files={APT: f'{REBOOT} "true";', f"{APT}-own": f'{REBOOT} "0";'})),
+    Scene("reboots", here(files={APT: f'//{REBOOT} "true";\n{REBOOT}-Time "02:00";'})),
     Scene("SPI device", here(spi={"device": "/bin/sh"}), "failure … /bin/sh is no device node → … switch SPI on"),
     Scene("SPI device", here(spi={"device": "/dev/none"}), "/dev/none: No such file … → without … switch SPI"),
     Scene("SPI device", served(here(**NODE)), "may not be opened … → sudo chgrp spi /dev/null && sudo chmod",
@@ -474,7 +462,7 @@ SCENES = (
     Scene("SPI controller", here({"driver": "dw_spi_mmio", "model": "StarFive VisionFive 2"}),
           "ok SPI controller: StarFive"),
     Scene("SPI bus", here({}), "ok SPI bus: no other driver uses it"),
-    Scene("SPI bus", neighbours, "warning … shared with spi0.1 (driver fb_st7789v), spi0.2 (driver mcp251x): an"),
+    Scene("SPI bus", here(act=neighbours), "warning … spi0.1 (driver fb_st7789v), spi0.2 (driver mcp251x): an"),
     clocked(2_500_000, f"ok … {TAKES.format('0.6')}"),
     clocked(2_500_001, "warning … set spi.speed_hz = 2500000, or measure"),
     clocked(50_000, "ok"),
@@ -506,7 +494,7 @@ SCENES = (
           "ttyAMA… only → … sudo tee /etc/systemd/system/hexapod-gateway.service.d/uart.conf <<<$'[Service]\\n"
           "DeviceAllow=char-full rw' && sudo systemctl daemon-reload",
           patch={SERIAL: lambda _: Opened()}),
-    *(Scene("serial", but(files({"run/udev/data/c1:3": data}, **where),
+    *(Scene("serial", but(here(files={"run/udev/data/c1:3": data}, **where),
                           shown=lambda unit, on=on: {"ActiveState": "active" if unit[:-8] in on else ""}), *lines)
       for where in (dict[str, Any](power={"interface": "slcan", "channel": "/dev/null"}),
                     dict[str, Any](wire={"name": "elkapod-2025"}, controller={"uart": "/dev/null"}))

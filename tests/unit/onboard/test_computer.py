@@ -17,15 +17,6 @@ from tests.support.machine_tree import OF_MAY, PI_4, MachineTree
 SPIDEV = "/dev/spidev0.0"
 
 
-def test_where_nothing_is_said_nothing_is_known(tmp_path: Path) -> None:
-    assert computer.computer(tmp_path) == ""
-    assert computer.kernel(tmp_path) == ("", None)
-    assert computer.driver_of(SPIDEV, tmp_path) is None
-    assert computer.gpio_selects(SPIDEV, tmp_path) is None
-    assert computer.neighbours(SPIDEV, tmp_path) == []
-    assert not computer.on_rp1(SPIDEV, tmp_path)
-
-
 def test_a_controller_without_a_device_tree_says_nothing_of_chip_select(tmp_path: Path) -> None:
     tree = MachineTree(tmp_path)
     (tree.bus.parents[1] / "of_node").unlink()
@@ -53,15 +44,6 @@ def test_when_the_kernel_was_built(tmp_path: Path, version: str) -> None:
     """Not when its compiler was."""
     MachineTree(tmp_path, version=version)
     assert computer.kernel(tmp_path)[1] == BUILT[version]
-
-
-def test_neighbours_are_those_of_another_driver(tmp_path: Path) -> None:
-    tree = MachineTree(tmp_path)
-    tree.add("spi0.2", None)
-    assert computer.neighbours(SPIDEV, tmp_path) == []
-    tree.add("spi0.1", "fb_st7789v")
-    tree.add("spi0.3", "mcp251x")
-    assert computer.neighbours(SPIDEV, tmp_path) == [("spi0.1", "fb_st7789v"), ("spi0.3", "mcp251x")]
 
 
 @pytest.mark.parametrize(
