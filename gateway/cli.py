@@ -19,7 +19,7 @@ from gateway import __version__
 from gateway.errors import ConfigError, GatewayError
 from gateway.host import output
 from gateway.model.frames import PROTOCOL_VERSION
-from gateway.onboard import check_command, incidents, setup_command
+from gateway.onboard import commands
 from gateway.people import console, recorder, ros2
 from gateway.people.commands import certs, walk
 from gateway.people.commands.options import ConfigOption, JsonOption, Reach, reaches
@@ -41,7 +41,7 @@ _PACKAGED = (Path(__file__).parents[1] / "units/hexapod-gateway.service").is_fil
 
 
 class _Commands(TyperGroup):
-    """All commands in their panels."""
+    """All commands in their panels. Removes pydantic's prefix, which Typer's parser adds, from error messages."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         del ctx
@@ -62,6 +62,13 @@ class _Commands(TyperGroup):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         _name_no_type_of_flags(self, ctx)
         return super().parse_args(ctx, args)
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except typer.BadParameter as error:
+            error.message = error.message.removeprefix("Value error, ")
+            raise
 
 
 def _name_no_type_of_flags(command: Any, ctx: Any) -> None:
@@ -246,10 +253,10 @@ app.add_typer(console.app)
 app.add_typer(console.calibrate_app, name="calibrate")
 app.add_typer(certs.app, name="certs")
 app.add_typer(recorder.app)
-app.add_typer(incidents.app, name="incidents")
-app.add_typer(check_command.app)
+app.add_typer(commands.incidents_app, name="incidents")
+app.add_typer(commands.check_app)
 if _PACKAGED:
-    app.add_typer(setup_command.app)
+    app.add_typer(commands.setup_app)
 app.add_typer(walk.app)
 app.add_typer(ros2.app)
 

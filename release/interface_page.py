@@ -14,7 +14,7 @@ from typing import Any, Final
 import typer
 
 from gateway.cli import app
-from gateway.onboard import setup_command as setup
+from gateway.onboard.commands import setup_app
 from release.settings_page import ROOT, schema, settings_rows
 from schemas import __main__ as messages
 from schemas.words import Cause, Kind, Mode, Reason, Value, WatchdogState
@@ -53,7 +53,7 @@ def tables() -> dict[str, str]:
         head = ("value", "meaning", "stops") if words is Kind else ("value", "meaning")
         found[f"### {words.__name__}"] = _table(head, _words(words))
     found["## Settings"] = _table(("setting", "default", "range", "meaning"), settings_rows())
-    commands = (*_commands(typer.main.get_command(app), []), *_commands(typer.main.get_command(setup.app), ["setup"]))
+    commands = (*_commands(typer.main.get_command(app), []), *_commands(typer.main.get_command(setup_app), ["setup"]))
     found["## Commands"] = _table(("command", "does", "options"), commands)
     found["### Exit codes"] = _table(("code", "meaning"), _exit_codes())
     return found

@@ -18,7 +18,7 @@ from unittest.mock import patch
 import typer
 
 from gateway import cli
-from gateway.onboard import setup_command
+from gateway.onboard.commands import setup_app
 
 
 class Ended(NamedTuple):
@@ -64,7 +64,7 @@ def _at_most(timeout_s: float) -> Iterator[None]:
 def program() -> Any:
     """Return the program's commands, and the Debian package's `setup`."""
     group: Any = typer.main.get_command(cli.app)
-    group.add_command(typer.main.get_command(setup_command.app), "setup")
+    group.add_command(typer.main.get_command(setup_app), "setup")
     return group
 
 
