@@ -16,7 +16,7 @@ import pytest
 from tests.box.box import lacks_tools
 from tests.box.installed import NAME, wait_for_stops
 from tests.box.package import Packages
-from tests.box.test_readme import debian
+from tests.box.test_pages import debian
 from tests.hil.bed import SpiTestbed, missing_packages
 from tests.support.child import Child
 from tests.support.lacks import skip_where

@@ -1,4 +1,4 @@
-"""The package's life on a robot: what installs, what is taken when, what stays, and what is gone at the end."""
+"""The package's life on a robot: what installs, is set up, is taken when, stays, and is gone at the end."""
 
 import subprocess
 from collections.abc import Iterator
@@ -7,10 +7,24 @@ from pathlib import Path
 
 import pytest
 
+from gateway import certs
 from release.deb import debian_version
-from tests.box.box import Box
+from tests.box.box import SHARED_INSIDE, Box, Unit
 from tests.box.installed import CONFIGURATION, NAME, wait_for_stops
-from tests.box.package import BROKEN, LATE, LIBRARY, UNIT_FILE, Packages, Robot, current, dpkg, hold, install, let_go
+from tests.box.package import (
+    BROKEN,
+    CONFIG_TXT,
+    LATE,
+    LIBRARY,
+    UNIT_FILE,
+    Packages,
+    Robot,
+    current,
+    dpkg,
+    hold,
+    install,
+    let_go,
+)
 
 pytestmark = pytest.mark.systemd
 
@@ -250,6 +264,55 @@ def test_removed_and_installed_again_it_runs_as_before(robot: Robot, packages: P
     assert "nothing runs until a reset" in robot.gateway("status")
     robot.gateway("reset")
     robot.is_at_work("1.1.0")
+
+
+def setup(box: Box, *options: str, check: bool = False) -> list[str]:
+    """Return the lines that `setup` printed, before those of `check`, which may find that this machine has no SPI."""
+    done = box.run(NAME, "setup", *options, check=check, timeout_s=120)
+    assert "Traceback" not in done.stderr
+    return (done.stdout + done.stderr).splitlines()
+
+
+def test_setup_goes_from_the_package_to_a_robot_with_certificates_and_back(tmp_path: Path, packages: Packages) -> None:
+    with Box(tmp_path) as box:
+        box.write(CONFIG_TXT, "#dtparam=spi=on\n")
+        install(box, packages.make("1.1.0"))
+        unit = Unit(box, f"{NAME}.service")
+        done = setup(box, "--framing", "plain", check=True)
+        assert done[-1] == "Next: sudo reboot; then: sudo hexapod-gateway check"
+        assert unit.properties("UnitFileState", "ActiveState") == ["enabled", "inactive"]
+        assert box.run("stat", "--format=%A %U:%G", CONFIGURATION).stdout == f"-rw-r----- root:{NAME}\n"
+
+        drop_in = f"/etc/systemd/system/{NAME}.service.d/simulated.conf"
+        box.run("install", "-Dm644", f"/usr/share/{NAME}/simulated.conf", drop_in)
+        box.run("systemctl", "daemon-reload")
+        assert "start the service" in setup(box)
+        process = unit.property("MainPID")
+        assert "the service runs with this setup" in setup(box)
+        assert unit.property("MainPID") == process
+
+        folder = tmp_path / "certs"
+        certs.folder.init(folder, ["127.0.0.1"])
+        certs.folder.issue(folder, "robot-2", "robot", hosts=["127.0.0.1"], bundle=box.shared / "robot.zip")
+        certs.folder.issue(folder, "anna", "operator", bundle=box.shared / "anna.zip")
+        assert "restart the service: all legs stop" in setup(box, "--certs", f"{SHARED_INSIDE}/robot.zip")
+        unzip = f"import zipfile; zipfile.ZipFile('{SHARED_INSIDE}/anna.zip').extractall('/root/anna')"
+        box.run("python3", "-c", unzip)
+        anna = ("--zenoh-config", "/root/anna/anna.json5")
+        held = hold(box, *anna)
+        before, process = box.read(CONFIGURATION), unit.property("MainPID")
+        assert setup(box, "--framing", "length-prefixed")[-1].startswith(
+            f"{NAME}: a servo runs, and a restart would stop it"
+        )
+        assert (box.read(CONFIGURATION), unit.property("MainPID")) == (before, process)
+        let_go(box, held, *anna)
+
+        install(box, packages.make("1.1.1"))
+        said = setup(box, "--back")
+        assert said[0] == "go from 1.1.1 to 1.1.0, and restart the service"
+        assert box.run("readlink", f"{LIBRARY}/current").stdout == "1.1.0.kept\n", said
+        assert unit.property("ActiveState") == "active"
+        assert box.run(NAME, "status", *anna, check=False).returncode == 0
 
 
 def test_debian_sorts_the_versions_as_they_were_made() -> None:

@@ -13,7 +13,7 @@ from gateway.people.incidents.find import kind_of
 from gateway.people.incidents.story import story
 from schemas import keys
 from tests.box.box import Unit
-from tests.box.installed import CONFIGURATION, NAME, REPOSITORY, STOPS, InstalledGateway, wait_for_stops
+from tests.box.installed import CONFIGURATION, NAME, PYTHON, REPOSITORY, STOPS, InstalledGateway, wait_for_stops
 from tests.hil.bed import SYSTEM_PYTHON
 from tests.support.child import Child
 from tests.support.recordings import checked, read
@@ -109,6 +109,34 @@ def test_what_the_black_box_shows(robot: InstalledGateway) -> None:
         assert all(frame in rest for frame in frames), f"{kind}: in the order of the wire"
         assert any(has_started(bytes.fromhex(frame)) for frame in frames), kind
         assert f"-{kind}: " in story(list(read(found[kind])))[0]
+
+
+CALIBRATE = """
+from gateway.client import Client
+from schemas.calibration import ServoChange
+with Client() as robot:
+    assert robot.calibrate({61: ServoChange(trim_deg=5)}).accepted
+"""
+
+
+@pytest.mark.nightly
+def test_the_service_is_killed_and_its_stops_are_counted(robot: InstalledGateway) -> None:
+    """By `check --stops`: Stops from outside and at the new start, and no motion."""
+    robot.unit.systemctl("start")
+    robot.box.run(*PYTHON, CALIBRATE)
+    before = robot.bed.transfers[-1].opening
+    said = robot.gateway("check", "--stops", "--restart", "--yes", "--only", "restart", "--late", "70")
+    assert "PASS     restart" in said
+    assert robot.unit.properties("ActiveState", "NRestarts") == ["active", "1"]
+    assert any(has_started(transfer.data) for transfer in robot.bed.transfers if transfer.opening == before)
+    outside = [t.data for t in robot.bed.transfers if before < t.opening <= before + 4]  # stop-servos' four rounds
+    assert len(outside) == 24
+    assert set(outside) == STOPS
+    assert {t.data for t in robot.bed.transfers if t.opening > before + 4} == STOPS, "and of the new start"
+    shown = robot.gateway("calibrate", "export")
+    robot.box.run("sh", "-c", f"rm /var/lib/{NAME}/calibration*")  # it is the service's own folder that keeps it
+    assert '"revision": 1' in shown
+    assert '"trim_deg": 5' in shown
 
 
 def restart_and_move(robot: InstalledGateway) -> None:

@@ -129,7 +129,7 @@ def test_where_the_lease_is_taken_from_it_all_legs_are_stopped(gateway: Gateway)
             assert client.reset().accepted
 
 
-# ---- the step that kills the service (with a real systemd: tests/box/test_check_stops.py)
+# ---- the step that kills the service (with a real systemd: tests/box/test_systemd.py)
 
 
 @pytest.mark.parametrize(
