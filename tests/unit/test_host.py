@@ -10,8 +10,9 @@ import threading
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, suppress
+from itertools import islice
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import pytest
 
@@ -185,14 +186,9 @@ def test_the_root_of_a_chroot_need_not_be_a_mount_point() -> None:
 
 def sensed(number: float) -> Sensed:
     """Return one whose 34 numbers all differ."""
-    values = [number + place / 64 for place in range(34)]
-    return Sensed(
-        (values[0], values[1], values[2], values[3]),
-        (values[4], values[5], values[6]),
-        (values[7], values[8], values[9]),
-        tuple(values[10:16]),
-        tuple(values[16:]),
-    )
+    values = iter([number + place / 64 for place in range(34)])
+    fields: Any = (tuple(islice(values, count)) for count in (4, 3, 3, 6, 18))
+    return Sensed(*fields)
 
 
 def test_a_reader_in_another_process_finds_the_newest() -> None:
