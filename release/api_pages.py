@@ -1,4 +1,4 @@
-"""What the docs site shows of the Python API: an extension of griffe, which mkdocs.yml names. `make docs` builds it."""
+"""The docs site's pages of the Python API: an extension of griffe, which mkdocs.yml names. `make docs` builds it."""
 
 import re
 from collections.abc import Iterator
@@ -13,10 +13,10 @@ DOCTEST: Final = re.compile(r"^>>> .*(?:\n.+)*", re.MULTILINE)
 
 
 class PublicApi(griffe.Extension):
-    """What the API's pages show: methods as they are when a program runs, and none marked `@private`."""
+    """Shows methods as they are when a program runs, and none marked `@private`."""
 
     def on_package(self, *, pkg: griffe.Module, **_: Any) -> None:
-        """Called once for each package that was read."""
+        """Change a package once it was read."""
         for module in pkg.modules["people"].modules["client"].modules.values() if pkg.path == "gateway" else ():
             _complete(pkg, module)
         owners = list(_owners(pkg))
@@ -29,7 +29,7 @@ class PublicApi(griffe.Extension):
 
 
 def _owners(owner: griffe.Object) -> Iterator[griffe.Object]:
-    """This module or class, and all modules, classes and functions in it."""
+    """Yield this module or class, and all modules, classes and functions in it."""
     yield owner
     for member in owner.members.values():
         if isinstance(member, griffe.Object):
@@ -37,7 +37,7 @@ def _owners(owner: griffe.Object) -> Iterator[griffe.Object]:
 
 
 def _complete(package: griffe.Module, module: griffe.Module) -> None:
-    """Methods made at import (`go = waits(Walk.go)`) are shown as those that they are made of, some with `async`."""
+    """Show a method that is made at import (`go = waits(Walk.go)`) as the method that it is made of."""
     made = [
         (owner, name)
         for owner in module.classes.values()
@@ -56,7 +56,7 @@ def _complete(package: griffe.Module, module: griffe.Module) -> None:
 
 
 def _is_private(owner: griffe.Object, name: str) -> bool:
-    """Marked by itself or, if it has no docstring, by what it overrides."""
+    """Return whether it is marked; without a docstring, whether what it overrides is."""
     member = owner.members.get(name)
     if isinstance(member, griffe.Object) and member.docstring:
         return "@private" in member.docstring.value

@@ -1,7 +1,7 @@
 """Wheel and sdist, equal to the byte wherever and whenever they are built from the same commit.
 
-The build sees a copy of the sources with the commit's time and plain modes, and the setuptools of the lock. It writes
-the wheel that way by itself (SOURCE_DATE_EPOCH); the sdist's members have owners and times of the machine, so its
+The build reads a copy of the sources with the commit's time and plain modes, and uses the setuptools of the lock. With
+SOURCE_DATE_EPOCH it writes such a wheel by itself. The sdist's members have owners and times of the machine, so its
 archive is written anew.
 """
 
@@ -19,15 +19,15 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 UV = str(Path(sys.executable).with_name("uv"))
-"""Of the same environment."""
+"""The uv of the same environment."""
 _GIT = ["git", "-c", f"safe.directory={ROOT}", "-C", str(ROOT)]
-"""The owner of the repository."""
+"""git in this repository, whoever owns it."""
 _VERSION = re.compile(r'^__version__ = "(.*)"$', re.MULTILINE)
 _SOURCES = ("pyproject.toml", "setup.py", "README.md", "LICENSE", "gateway", "schemas")
 
 
 def version() -> str:
-    """The release, with the commit unless that has its tag: 1.1.0+g4aa0d07, or 1.1.0+g4aa0d07.changed.
+    """Return the release, with the commit unless that has its tag: 1.1.0+g4aa0d07, or 1.1.0+g4aa0d07.changed.
 
     Three commits with one version would look alike on a robot. Without git it stays 1.1.0.
     """
@@ -42,12 +42,12 @@ def version() -> str:
 
 
 def epoch() -> int:
-    """When the commit was made, in seconds since 1970, or SOURCE_DATE_EPOCH; now, without git."""
+    """Return SOURCE_DATE_EPOCH, or when the commit was made (s since 1970); without git, now."""
     return int(os.environ.get("SOURCE_DATE_EPOCH") or _git("log", "-1", "--format=%ct") or time.time())
 
 
 def build(folder: Path, released: str, when: int) -> list[Path]:
-    """Both, in `folder`."""
+    """Build wheel and sdist into `folder`. Return their paths."""
     environment = {**os.environ, "SOURCE_DATE_EPOCH": str(when)}
     with tempfile.TemporaryDirectory() as temporary:
         sources, made = Path(temporary) / "sources", Path(temporary) / "made"
@@ -78,7 +78,7 @@ def _copy_sources(to: Path, released: str, when: int) -> None:
 
 
 def run(command: list[str], environment: dict[str, str] | None = None, data: bytes | None = None) -> bytes:
-    """Its standard output. Raises SystemExit with its error output."""
+    """Run a program and return its standard output. Raises SystemExit with its error output."""
     done = subprocess.run(command, cwd=ROOT, env=environment, input=data, umask=0o022, capture_output=True, check=False)
     if done.returncode != 0:
         raise SystemExit(f"{' '.join(command)}:\n{done.stdout.decode()}{done.stderr.decode()}")
@@ -86,7 +86,7 @@ def run(command: list[str], environment: dict[str, str] | None = None, data: byt
 
 
 def _git(*arguments: str) -> str:
-    """What git prints; empty where there is no git, or no repository of its."""
+    """Return what git prints; "" without git, or without a repository."""
     try:
         return subprocess.run([*_GIT, *arguments], capture_output=True, text=True, check=False).stdout.strip()
     except FileNotFoundError:
@@ -94,7 +94,7 @@ def _git(*arguments: str) -> str:
 
 
 def plain(sdist: bytes, when: int) -> bytes:
-    """The same files, as a tar.gz without owners, times and order of a machine."""
+    """Return a tar.gz with the same files, without owners, times and order of a machine."""
     written = io.BytesIO()
     with (
         tarfile.open(fileobj=io.BytesIO(sdist)) as found,

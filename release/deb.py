@@ -2,7 +2,7 @@
 
 `python -m release.deb [--architecture arm64] [--to DIR]`; `make deb` runs it. Nothing is compiled: each dependency
 comes as a wheel with the lock's hash; spidev has none, and the gateway makes its calls itself. Compiled parts have
-their Python in their names, so one folder holds those of all of them. Of one commit each machine makes the same bytes.
+their Python in their names, so one folder holds those of all Pythons. Each machine makes the same bytes of a commit.
 """
 
 import argparse
@@ -22,7 +22,7 @@ from release.build import ROOT, UV, build, epoch, run, version
 from release.documents import EXTRAS
 
 PYTHONS: Final = ("3.11", "3.13")
-"""Of Debian 12 and 13, and of the Raspberry Pi OS made of them."""
+"""The Pythons of Debian 12 and 13, and of the Raspberry Pi OS made of them."""
 PROCESSORS: Final = {"amd64": "x86_64", "arm64": "aarch64"}
 LIBC: Final = "manylinux_2_34"
 """Debian 12 has 2.36; this is the newest before it for which wheels are built."""
@@ -31,18 +31,18 @@ CONFFILE: Final = "etc/needrestart/conf.d/hexapod-gateway.conf"
 """dpkg keeps what a person has changed in it."""
 SCRIPTS: Final = ("preinst", "postinst", "prerm", "postrm")
 _OF_AN_INSTALLATION: Final = {"RECORD", "INSTALLER", "REQUESTED", "WHEEL", "direct_url.json", "sboms"}
-"""Written by who installs a wheel, or different for each Python."""
+"""Files that an installer of wheels writes, or that differ for each Python."""
 
 
 def debian_version(released: str, when: int) -> str:
-    """The release as dpkg sorts it: 1.2.0rc1 before 1.2.0, and an earlier commit before a later one."""
+    """Return the release as dpkg sorts it: 1.2.0rc1 before 1.2.0, and an earlier commit before a later one."""
     number, plus, commit = released.partition("+")
     number = re.sub(r"(a|b|rc)(?=\d)", r"~\1", number).replace(".dev", "~~dev")
     return f"{number}+{time.strftime('%Y%m%d%H%M%S', time.gmtime(when))}.{commit}" if plus else number
 
 
 def dependencies(folder: Path, architecture: str) -> Path:
-    """All wheels of the lock in one folder, as they are installed for each of the Pythons."""
+    """Install all wheels of the lock for each Python, together in one folder. Return the folder."""
     requirements = folder / "requirements.txt"
     export = [UV, "export", "--quiet", "--frozen", "--no-config", "--no-header", "--no-annotate"]
     export += ["--format", "requirements.txt", "--no-emit-project", "--no-emit-package", "spidev", *EXTRAS]
@@ -68,7 +68,7 @@ def dependencies(folder: Path, architecture: str) -> Path:
 
 
 def deb(to: Path, wheel: Path, packages: Path, released: str, when: int, architecture: str, pack: str = "xz") -> Path:
-    """The package of this wheel of ours, with these dependencies. `pack`: dpkg-deb's compression.
+    """Make the package of our `wheel` with these dependencies. Return its path. `pack`: dpkg-deb's compression.
 
     At level 3 xz takes 20 s and makes 32 MB (30 for arm64).
     """
@@ -98,13 +98,13 @@ def deb(to: Path, wheel: Path, packages: Path, released: str, when: int, archite
 
 
 def deb_with_dependencies(to: Path, wheel: Path, released: str, when: int, architecture: str) -> Path:
-    """The package of this wheel of ours, with the lock's dependencies."""
+    """Make the package of our `wheel` with the lock's dependencies. Return its path."""
     with tempfile.TemporaryDirectory() as temporary:
         return deb(to, wheel, dependencies(Path(temporary), architecture), released, when, architecture)
 
 
 def _fill(root: Path, full: str, wheel: Path, packages: Path) -> None:
-    """What lies where on the robot."""
+    """Write the robot's files below `root`."""
     payload = root / "usr/lib/hexapod-gateway" / full
     shutil.copytree(packages, payload)
     with ZipFile(wheel) as packed:
@@ -130,7 +130,7 @@ def _fill(root: Path, full: str, wheel: Path, packages: Path) -> None:
 
 
 def _write(source: Path, place: Path, given: Mapping[str, str]) -> None:
-    """A file of deploy/ with its @NAMES@ replaced."""
+    """Copy a file of deploy/ with its @NAMES@ replaced."""
     text = source.read_text().replace("@KEEP@\n", (DEPLOY / "debian/keep.sh").read_text())
     for name, value in {**given, "PYTHONS": " ".join(f"/usr/bin/python{each}" for each in PYTHONS)}.items():
         text = text.replace(f"@{name}@", value)
@@ -139,7 +139,7 @@ def _write(source: Path, place: Path, given: Mapping[str, str]) -> None:
 
 
 def _md5(path: Path) -> str:
-    """For `dpkg --verify`, which knows no other."""
+    """Return the MD5 sum: `dpkg --verify` knows no other."""
     return hashlib.md5(path.read_bytes(), usedforsecurity=False).hexdigest()
 
 

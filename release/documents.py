@@ -14,14 +14,14 @@ from pathlib import Path
 from release.build import UV, run
 
 EXTRAS = ("--extra", "spi", "--extra", "console", "--extra", "power")
-"""What a robot has."""
+"""The optional parts that a robot has."""
 SUMS = "SHA256SUMS"
 SIGNATURE = "SHA256SUMS.sig"
 NAMESPACE = "hexapod-gateway-release"
 
 
 def sbom(folder: Path, released: str, when: int) -> Path:
-    """sbom.cdx.json in `folder`: every package of a robot's, with its hashes. Raises SystemExit if the lock is old."""
+    """Write sbom.cdx.json, every package of a robot with its hashes. Raises SystemExit if the lock is old."""
     run([UV, "lock", "--check", "--no-config", "--default-index", "https://pypi.org/simple"])
     made = run([UV, "export", "--quiet", "--frozen", "--no-config", "--format", "cyclonedx1.5", *EXTRAS])
     path = folder / "sbom.cdx.json"
@@ -30,7 +30,7 @@ def sbom(folder: Path, released: str, when: int) -> Path:
 
 
 def _dated(made: bytes, released: str, when: int) -> str:
-    """The same with the release's version and time, and a number that follows from what is in it."""
+    """Return uv's SBOM with the release's version and time, and a serial number that follows from its content."""
     found = json.loads(made)
     found["metadata"]["timestamp"] = f"{dt.datetime.fromtimestamp(when, dt.UTC):%Y-%m-%dT%H:%M:%SZ}"
     found["metadata"]["component"] |= {"version": released, "purl": f"pkg:pypi/hexapod-gateway@{released}"}
@@ -40,12 +40,12 @@ def _dated(made: bytes, released: str, when: int) -> str:
 
 
 def write_sums(folder: Path, paths: Iterable[Path]) -> None:
-    """SHA256SUMS of these files of the folder, as `sha256sum --check` reads it."""
+    """Write SHA256SUMS of these files of the folder, as `sha256sum --check` reads it."""
     lines = (f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}\n" for path in sorted(paths))
     (folder / SUMS).write_text("".join(lines))
 
 
 def sign(folder: Path, key: Path) -> None:
-    """SHA256SUMS.sig, in the folder of SHA256SUMS."""
+    """Sign SHA256SUMS: SHA256SUMS.sig, in the same folder."""
     (folder / SIGNATURE).unlink(missing_ok=True)
     run(["ssh-keygen", "-q", "-Y", "sign", "-f", str(key.absolute()), "-n", NAMESPACE, str((folder / SUMS).absolute())])

@@ -25,7 +25,7 @@ Node = dict[str, Any]
 Field = tuple[str, str, str]
 """Name, type and meaning."""
 Seen = dict[frozenset[Field], str]
-"""The fields of an object → the message that explains them first; later ones refer to it."""
+"""The message that explains an object first, by the object's fields; later messages refer to it."""
 
 _SENDER: Final = ("source", "sent_ms", "lease")
 _ANSWER: Final = ("accepted", "reason", "detail")
@@ -35,7 +35,7 @@ _CLIENT: Final = ("--connect", "--zenoh-config", "--timeout", "--help")
 
 
 def tables() -> dict[str, str]:
-    """Heading → the table below it."""
+    """Return the tables by the heading above them."""
     found: dict[str, str] = {}
     seen: Seen = {}
     for file, text in messages.documents().items():
@@ -71,7 +71,7 @@ def _words(words: type[Value]) -> Rows:
 
 
 def _fields(document: Node, name: str) -> Iterator[Field]:
-    """The rows of a message. Raises ValueError for a field without a description."""
+    """Yield the rows of a message. Raises ValueError for a field without a description."""
     sparse = name.endswith("Ack") or name == "Telemetry"
     variants = _variants(document, document)
     closed = all(each.get("additionalProperties") is False for each in variants)
@@ -104,13 +104,13 @@ def _folded(rows: list[Field], name: str, seen: Seen) -> list[Field]:
 
 
 def _joined(rows: list[Field]) -> Rows:
-    """The cells; neighbours of one type and meaning share a row."""
+    """Yield the cells; neighbours of one type and meaning share a row."""
     for (kind, meaning), group in groupby(rows, key=lambda row: row[1:]):
         yield ", ".join(f"`{field}`" for field, _, _ in group), kind, meaning
 
 
 def _walk(variants: list[Node], document: Node, prefix: str) -> Iterator[tuple[str, str, str, bool]]:
-    """Each field of these variants: name, type, meaning, and whether it may be left out; then the fields inside it."""
+    """Yield each field of these variants (name, type, meaning, if it may be left out), then the fields inside it."""
     for name in dict.fromkeys(name for variant in variants for name in variant["properties"]):
         having = [variant for variant in variants if name in variant["properties"]]
         nodes = [variant["properties"][name] for variant in having]
@@ -127,13 +127,13 @@ def _walk(variants: list[Node], document: Node, prefix: str) -> Iterator[tuple[s
 
 
 def _operations(variants: list[Node]) -> str:
-    """The words that distinguish these variants from the others."""
+    """Return the words that distinguish these variants from the others."""
     tags = [variant["properties"].get("do") or variant["properties"]["op"] for variant in variants]
     return ", ".join(f"`{word}`" for tag in tags for word in tag.get("enum", [tag.get("const")]))
 
 
 def _inside(nodes: list[Node], document: Node) -> tuple[list[Node], str]:
-    """The objects in a field, and what stands between its name and theirs."""
+    """Return the objects in a field, and what stands between its name and theirs."""
     for each in (variant for node in nodes for variant in _variants(node, document)):
         if "properties" in each:
             return [each], "."
@@ -146,7 +146,7 @@ def _inside(nodes: list[Node], document: Node) -> tuple[list[Node], str]:
 
 
 def _variants(node: Any, document: Node) -> list[Node]:
-    """What a schema allows: its alternatives, with references resolved."""
+    """Return a schema's alternatives, with references resolved."""
     if not isinstance(node, dict):
         return []
     if "$ref" in node:
@@ -161,7 +161,7 @@ def _described(node: Node, document: Node) -> str:
 
 
 def _kinds(node: Node, document: Node) -> Iterator[str]:
-    """Each type that a value may have, as the page writes it."""
+    """Yield each type that a value may have, as the page writes it."""
     if "$ref" in node:
         name = node["$ref"].rpartition("/")[2]
         target = document["$defs"][name]
@@ -184,7 +184,7 @@ def _kinds(node: Node, document: Node) -> Iterator[str]:
 
 
 def _limited(node: Node) -> str:
-    """A plain type, and its limits."""
+    """Return a plain type with its limits."""
     low, high = node.get("minimum"), node.get("maximum")
     if node.get("format") == "date-time":
         return "RFC 3339"
@@ -197,7 +197,7 @@ def _limited(node: Node) -> str:
 
 
 def _commands(command: Any, path: list[str]) -> Iterator[tuple[str, str, str]]:
-    """Each command: name, the first paragraph of its help, its own options."""
+    """Yield each command: name, the first paragraph of its help, its own options."""
     if not hasattr(command, "commands") or path == ["calibrate"]:  # (`incidents` alone is `incidents list`)
         does = " ".join((command.help or "").partition("\n\n")[0].split())
         options = [each.opts[0] for each in command.params if each.param_type_name == "option"]
@@ -212,7 +212,7 @@ def _exit_codes() -> Rows:
 
 
 def page(text: str) -> str:
-    """The page with its tables as the code has them. Raises ValueError if one has no place."""
+    """Return the page with the code's tables. Raises ValueError if a table has no place."""
     for heading, table in tables().items():
         place = re.compile(rf"(\n{re.escape(heading)}\n(?:(?!#|\|).*\n)*)(?:\|.*\n)+")
         text, found = place.subn(lambda match, table=table: f"{match[1]}{table}", text, count=1)  # type: ignore[misc]

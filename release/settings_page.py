@@ -1,4 +1,4 @@
-"""What is made from the table of settings: its rows in docs/interface.md, and the JSON Schema of gateway.toml."""
+"""Made from the table of settings: its rows in docs/interface.md, and the JSON Schema of gateway.toml."""
 
 import json
 from collections.abc import Mapping
@@ -20,12 +20,12 @@ class Setting(NamedTuple):
 
     kind: Any
     default: Any
-    """MISSING: none, of a servo that the file names."""
+    """MISSING if there is none: a servo's setting."""
     allowed: Allowed
 
 
 def settings(section: Any = Settings, prefix: str = "") -> dict[str, Setting]:
-    """Every setting by its dotted name; N is a servo."""
+    """Return every setting by its dotted name; N is a servo."""
     found: dict[str, Setting] = {}
     for each in fields(section):
         if is_others(each):
@@ -40,14 +40,14 @@ def settings(section: Any = Settings, prefix: str = "") -> dict[str, Setting]:
 
 
 def limits(setting: Setting) -> str:
-    """Its range as the table writes it: `0 to 1000`, or its words."""
+    """Return the range as the table writes it: `0 to 1000`, or the words."""
     if setting.allowed.limits is not None:
         return " to ".join(map(str, setting.allowed.limits))
     return ", ".join(f"`{word}`" for word in words(setting.kind))
 
 
 def settings_rows() -> list[tuple[str, ...]]:
-    """The rows of docs/interface.md."""
+    """Return the rows of docs/interface.md."""
     rows: list[tuple[str, ...]] = []
     for name, setting in settings().items():
         default = "none" if setting.default is MISSING else f"`{json.dumps(setting.default)}`"
@@ -65,7 +65,7 @@ _TYPES: Final = {bool: "boolean", int: "integer", float: "number", str: "string"
 
 
 def schema() -> dict[str, Any]:
-    """The JSON Schema of gateway.toml."""
+    """Return the JSON Schema of gateway.toml."""
     servo = "^(?:" + "|".join(map(str, SERVO_IDS)) + ")$"
     whole: dict[str, Any] = _object("hexapod-gateway: gateway.toml")
     for name, setting in settings().items():
