@@ -139,7 +139,7 @@ def test_a_simulated_body_comes_in_by_its_socket_and_changes_nothing_for_people(
     assert get(made, "transport/link/protocols") == ["tls", "unixsock-stream"]
 
 
-def test_where_nobody_can_listen_no_body_is_simulated(tmp_path: Path) -> None:
+def test_a_simulated_body_needs_a_gateway_that_listens(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match='--sim=physics needs mode: "peer" in the Zenoh file'):
         simulated_body.admit(config(b'{ mode: "client" }', tmp_path), tmp_path)
 
@@ -187,7 +187,7 @@ def test_each_roles_file_states_who_comes_in_and_how_much(tmp_path: Path, name: 
     assert {key: get(made, key) for key in wanted} == wanted
 
 
-def test_what_is_far_too_large_is_dropped_before_it_reaches_the_gateway(gateway: zenoh.Config) -> None:
+def test_far_too_large_messages_are_dropped_before_they_reach_the_gateway(gateway: zenoh.Config) -> None:
     (limit,) = get(gateway, "low_pass_filter")
     assert limit["flows"] == ["ingress"]
     assert set(limit["messages"]) == {"put", "delete", "query", "reply"}

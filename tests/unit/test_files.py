@@ -24,7 +24,7 @@ from gateway.zenoh.config import one_line, why_not_opened
 
 
 @pytest.mark.parametrize("data", ["spi.framing = 1".encode("utf-16"), b"\0" * 300, b"a = 1\n\0", b"# \xe4"])
-def test_toml_that_is_no_text_is_named_as_that(data: bytes) -> None:
+def test_toml_that_is_not_text_is_named(data: bytes) -> None:
     with pytest.raises(ValueError, match="is no text in UTF-8: saved in another encoding"):
         nesting.read_toml(data)
 
@@ -55,7 +55,7 @@ def test_endpoints_beyond_those_of_any_machine_are_rejected() -> None:
         service_config(Settings.of({"zenoh": {"listen": listen}}).zenoh)
 
 
-def test_what_zenoh_quotes_of_a_file_is_cut_and_its_words_for_a_key_are_ours() -> None:
+def test_zenohs_errors_are_shortened_and_a_wrong_key_is_named() -> None:
     assert len(one_line(zenoh.ZError("x" * 800_000))) == 301
     assert "a private key that is not its certificate's: sudo hex" in why_not_opened(
         "may not: KeyMismatch", ["tls/x:1"]
@@ -122,7 +122,7 @@ DEEP = MOST_LEVELS + 1
         '{"a":[' * DEEP,
     ],
 )
-def test_json5_that_nests_without_end(text: str) -> None:
+def test_json5_that_nests_too_deep_is_rejected(text: str) -> None:
     with pytest.raises(ValueError, match="nests deeper than 100 levels"):
         nesting.check(text.encode())
 
@@ -137,12 +137,12 @@ def test_json5_that_nests_without_end(text: str) -> None:
         ("a = ", "is not TOML: "),
     ],
 )
-def test_toml_that_is_none_of_ours(text: str, why: str) -> None:
+def test_toml_too_deep_too_large_or_malformed_is_rejected(text: str, why: str) -> None:
     with pytest.raises(ValueError, match=why):
         nesting.read_toml(text.encode())
 
 
-def test_toml_with_a_byte_order_mark() -> None:
+def test_toml_may_begin_with_a_byte_order_mark() -> None:
     assert nesting.read_toml(b"\xef\xbb\xbf[spi]\nspeed_hz = 1\n") == {"spi": {"speed_hz": 1}}
 
 
@@ -196,7 +196,7 @@ def test_the_file_is_on_the_disk_before_it_takes_its_place_and_the_folder_after_
 
 
 @pytest.mark.parametrize("umask", [0o000, 0o077])
-def test_the_mode_is_there_before_the_content_whatever_the_umask(tmp_path: Path, umask: int) -> None:
+def test_the_mode_is_set_before_the_content_with_any_umask(tmp_path: Path, umask: int) -> None:
     path = tmp_path / "file"
     path.touch(0o644)
     found: list[tuple[int, int]] = []
@@ -214,7 +214,7 @@ def test_the_mode_is_there_before_the_content_whatever_the_umask(tmp_path: Path,
     assert stat.S_IMODE(path.stat().st_mode) == 0o604
 
 
-def test_two_that_write_at_once_leave_one_whole_file(tmp_path: Path) -> None:
+def test_two_simultaneous_writers_leave_one_whole_file(tmp_path: Path) -> None:
     """The second begins and ends within the first."""
     path = tmp_path / "file"
     durable.write_with_mode(
@@ -223,7 +223,7 @@ def test_two_that_write_at_once_leave_one_whole_file(tmp_path: Path) -> None:
     assert (path.read_bytes(), list(tmp_path.iterdir())) == (b"first", [path])
 
 
-def test_one_at_a_time_is_in_a_locked_block(tmp_path: Path) -> None:
+def test_only_one_thread_at_a_time_is_in_a_locked_block(tmp_path: Path) -> None:
     path = tmp_path / "count.json"
     path.write_text("0")
 

@@ -71,7 +71,7 @@ def test_a_latency_is_counted_once_though_two_threads_count() -> None:
 # ---- The file that says on this machine whether a servo runs
 
 
-def test_what_an_earlier_run_has_left_is_taken_over(tmp_path: Path) -> None:
+def test_a_servos_file_of_an_earlier_run_is_replaced(tmp_path: Path) -> None:
     (tmp_path / SERVOS_FILE).write_text("something longer than the line, from another version\n")
     file = ServosFile(tmp_path)
     file.write(7, any_runs=True)
@@ -84,7 +84,7 @@ def test_a_write_needs_no_room_in_a_folder_that_has_become_full(tmp_path: Path) 
     assert (tmp_path / SERVOS_FILE).stat().st_blocks
 
 
-def test_without_a_folder_it_is_nothing(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_without_a_folder_there_is_no_servos_file(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     ServosFile(None).write(1, any_runs=True)
     with caplog.at_level(logging.WARNING):
         ServosFile(tmp_path / "none").write(1, any_runs=True)
@@ -103,7 +103,7 @@ def notifier(**environment: str) -> Iterator[SystemdNotifier]:
 
 
 @pytest.mark.parametrize("begins", ["", "@"], ids=["a file", "an abstract name"])
-def test_what_is_told_and_a_manager_that_does_not_read_holds_nobody_up(tmp_path: Path, begins: str) -> None:
+def test_systemd_is_notified_and_delays_nothing_if_it_does_not_read(tmp_path: Path, begins: str) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
         path = begins + str(tmp_path / "notify")
         listener.bind(path.replace("@", "\0"))
@@ -127,7 +127,9 @@ def test_what_is_told_and_a_manager_that_does_not_read_holds_nobody_up(tmp_path:
         ("", "2000000", {}, None),
     ],
 )
-def test_how_often_it_wants_to_hear(path: str, timeout_us: str, pid: dict[str, str], period_s: float | None) -> None:
+def test_the_ping_period_follows_from_systemds_watchdog(
+    path: str, timeout_us: str, pid: dict[str, str], period_s: float | None
+) -> None:
     with notifier(NOTIFY_SOCKET=path, WATCHDOG_USEC=timeout_us, **pid) as made:
         assert made.ping_period_s == period_s
         if period_s is None:
@@ -138,7 +140,7 @@ def test_how_often_it_wants_to_hear(path: str, timeout_us: str, pid: dict[str, s
 # ---- What is written to a disk is written aside, and the owner of the state learns of it
 
 
-async def test_a_mistake_of_our_own_ends_the_service() -> None:
+async def test_an_exception_on_the_disk_thread_is_reported() -> None:
     loop, learned = asyncio.get_running_loop(), asyncio.Future[str]()
     loop.set_exception_handler(lambda _, context: learned.set_result(context["message"]))
     disk = DiskWriter("disk", loop, Ownership())
@@ -170,7 +172,7 @@ MOUNTS = """\
         ("/srv/state", "/srv", "tmpfs"),
     ],
 )
-def test_the_mount_of_a_folder(folder: str, mount: str, kind: str) -> None:
+def test_the_mount_of_a_folder_is_found(folder: str, mount: str, kind: str) -> None:
     assert mount_of(Path(folder), MOUNTS) == (mount, kind)
 
 
@@ -191,7 +193,7 @@ def sensed(number: float) -> Sensed:
     return Sensed(*fields)
 
 
-def test_a_reader_in_another_process_finds_the_newest() -> None:
+def test_another_process_reads_the_newest_sensor_values() -> None:
     writer = SensedPage()
     reader = SensedPage(writer.fd)
     assert reader.read() is None, "before the first"
@@ -203,7 +205,7 @@ def test_a_reader_in_another_process_finds_the_newest() -> None:
 # ---- about simulated servos
 
 
-def test_another_process_reads_what_was_written() -> None:
+def test_another_process_reads_the_servos_targets() -> None:
     writer = ServoPage()
     reader = ServoPage(writer.fd)
     writer.write(63, 12.25)
@@ -239,7 +241,7 @@ def pipe(request: pytest.FixtureRequest) -> Iterator[Pipe]:
     pipe.close()
 
 
-def test_what_no_reader_takes_in_time_is_dropped_and_counted(pipe: Pipe) -> None:
+def test_log_lines_that_nobody_reads_in_time_are_dropped_and_counted(pipe: Pipe) -> None:
     log_writer = LogWriter(pipe.theirs)
     line = "x" * 1000
     for _ in range(2 * MAX_LINES_WAITING):
@@ -253,7 +255,7 @@ def test_what_no_reader_takes_in_time_is_dropped_and_counted(pipe: Pipe) -> None
     log_writer.stop(10)
 
 
-def test_a_line_that_cannot_be_made_and_a_descriptor_that_rejects_hold_nobody() -> None:
+def test_a_line_that_cannot_be_rendered_or_written_is_counted() -> None:
     full = os.open("/dev/full", os.O_WRONLY)
     log_writer = LogWriter(full)
     log_writer.handle(logging.makeLogRecord({"exc_info": "no exception"}))
@@ -278,7 +280,7 @@ def test_a_record_is_queued_though_a_thread_that_does_not_run_holds_the_handlers
         assert reader.read() == "queued\n"
 
 
-def test_what_is_printed_goes_the_same_way(pipe: Pipe) -> None:
+def test_printed_text_goes_through_the_log_writer(pipe: Pipe) -> None:
     log_writer = LogWriter(pipe.theirs)
     stream = LogStream(log_writer)
     lines = pipe.lines()
@@ -313,7 +315,7 @@ def test_without_a_runtime_directory_nothing_is_written(monkeypatch: pytest.Monk
     assert list(folder.iterdir()) == []
 
 
-def test_a_process_that_ended_and_one_that_has_its_number(folder: Path) -> None:
+def test_settings_of_an_ended_process_are_not_in_effect(folder: Path) -> None:
     """A number alone shows nothing: the kernel gives it again."""
     effective.write(ForStops(USED.wire, USED.spi, USED.controller, USED.power))
     written = json.loads((folder / effective.NAME).read_text())
@@ -337,13 +339,13 @@ def test_a_process_that_ended_and_one_that_has_its_number(folder: Path) -> None:
         b'{"spi": {"framing": "plain", "speed_hz": 0}}',
     ],
 )
-def test_a_damaged_file_says_nothing(folder: Path, content: bytes) -> None:
+def test_a_damaged_file_of_settings_in_effect_is_ignored(folder: Path, content: bytes) -> None:
     assert effective.read() is None
     (folder / effective.NAME).write_bytes(content)
     assert effective.read() is None
 
 
-def test_where_a_file_differs(folder: Path) -> None:
+def test_differences_between_a_file_and_the_settings_in_effect_are_named(folder: Path) -> None:
     effective.write(ForStops(USED.wire, USED.spi, USED.controller, USED.power))
     found = effective.read()
     assert found is not None

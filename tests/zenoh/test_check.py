@@ -179,7 +179,7 @@ def test_one_servo_is_started_moved_and_stopped(
     assert client.state().mode is Mode.IDLE
 
 
-def test_a_no_leads_through_the_causes(move: Callable[..., Ended], client: Client) -> None:
+def test_causes_are_listed_if_the_servo_did_not_move(move: Callable[..., Ended], client: Client) -> None:
     heard = frames(client)
     end = move("", "", "yes", "no")
     assert end.returncode == 1, str(end)
@@ -208,7 +208,7 @@ def test_ctrl_c_stops_the_servo(gateway: Gateway, client: Client, after: Op) -> 
     assert client.state().mode is Mode.IDLE
 
 
-def test_what_somebody_else_stops_meanwhile_is_not_started_again(gateway: Gateway, client: Client) -> None:
+def test_a_servo_that_somebody_else_stops_is_not_started_again(gateway: Gateway, client: Client) -> None:
     heard = frames(client)
     with moving(gateway, heard) as child:
         assert client.start_leg(1, 90, 90, 90, check=False).reason == Reason.NOT_HOLDER, "it has the lease"
@@ -219,7 +219,7 @@ def test_what_somebody_else_stops_meanwhile_is_not_started_again(gateway: Gatewa
     assert client.state().lease.holder is None
 
 
-def test_a_robot_that_is_not_at_rest_is_left_alone(move: Callable[..., Ended], client: Client) -> None:
+def test_a_robot_that_is_not_at_rest_is_not_moved(move: Callable[..., Ended], client: Client) -> None:
     client.estop()
     heard = frames(client)
     end = move(options=("--yes",))

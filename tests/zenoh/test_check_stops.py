@@ -71,7 +71,7 @@ def test_a_planted_mistake_fails_its_step(mistake: str, tmp_path: Path, monkeypa
     assert done.stdout.startswith(f"FAIL     {step:14} "), str(done)
 
 
-def test_where_the_gateway_is_gone_it_says_that_nobody_has_confirmed(tmp_path: Path) -> None:
+def test_without_the_gateway_the_check_reports_that_nobody_confirmed(tmp_path: Path) -> None:
     with Gateway(tmp_path, FRAMES) as running, running.client() as client:
         heard = frames(client)
         with running.begin("check", "--stops", "--only", "silence", "--timeout", "0.3") as child:
@@ -88,7 +88,7 @@ STARTED: Final = "06020b015a00"
 
 
 @pytest.mark.parametrize("step", ENDS)
-def test_whoever_ends_it_finds_all_legs_stopped(gateway: Gateway, step: str) -> None:
+def test_every_end_of_the_check_stops_all_legs(gateway: Gateway, step: str) -> None:
     """Also whoever is impatient, and ends it twice."""
     with gateway.client() as client:
         heard = frames(client)
@@ -113,7 +113,7 @@ def test_a_signal_that_a_callback_has_swallowed_ends_it_when_it_is_delivered_aga
         assert not bench.running()
 
 
-def test_where_the_lease_is_taken_from_it_all_legs_are_stopped(gateway: Gateway) -> None:
+def test_a_check_that_loses_the_lease_stops_all_legs(gateway: Gateway) -> None:
     with gateway.client() as client:
         heard = frames(client)
         with gateway.begin("check", "--stops", "--only", "estop", "--only", "command") as child:
@@ -153,7 +153,7 @@ def test_a_laptop_skips_the_step_that_kills_the_service(
 
 
 @pytest.mark.parametrize("ended", ["code=exited ; status=3", "code=(null) ; status=0/0"], ids=["failed", "not run"])
-def test_a_stop_servos_that_did_not_stop_after_the_end_fails(
+def test_a_stop_servos_that_fails_after_the_kill_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ended: str
 ) -> None:
     """As systemd 252 shows it; the test is in the place of systemd, which starts the service again."""
@@ -235,13 +235,15 @@ def test_only_its_own_emergency_stop_is_reset_however_often_it_was_sent(
             assert client.reset().accepted
 
 
-def test_without_a_board_and_without_a_person_there_is_nothing_to_show(check: Check) -> None:
+def test_steps_without_a_person_to_unplug_are_skipped(check: Check) -> None:
     for step, *options in (("spi-unplugged", "--unplug"), ("can-unplugged", "--unplug"), ("can-unplugged",)):
         assert "SKIPPED" in check(step, None, *options).stdout
 
 
 @pytest.mark.parametrize(("loose", "code"), [("yes", 0), ("no", 1)])
-def test_spi_unplugged(board: RecordedBoard, check: Check, loose: str, code: int) -> None:
+def test_with_spi_unplugged_the_emergency_stop_cuts_the_power(
+    board: RecordedBoard, check: Check, loose: str, code: int
+) -> None:
     """The supply comes back only once the controller has its Stops."""
     fed_when: dict[str, int] = {}
 
@@ -260,7 +262,7 @@ def test_spi_unplugged(board: RecordedBoard, check: Check, loose: str, code: int
     assert fed_when["Turn"] == fed_when["Plug"] == 0
 
 
-def test_can_unplugged(board: RecordedBoard, check: Check) -> None:
+def test_with_can_unplugged_the_robot_is_stopped_over_spi(board: RecordedBoard, check: Check) -> None:
 
     def answer(question: str) -> str:
         board.disturb(silent=question.startswith("Unplug"))

@@ -45,7 +45,7 @@ client = client_fixture(None, rests=True)
         ("send legs stop", "accepted", [f"0e01{leg}" for leg in LEG_STOPS]),
     ],
 )
-def test_what_is_sent_is_written(
+def test_each_send_command_writes_its_frames(
     gateway: Gateway, client: Client, arguments: str, said: str, frames_written: list[str]
 ) -> None:
     heard = frames(client)
@@ -86,7 +86,7 @@ def test_hold_keeps_a_leg_running_past_the_watchdog(tmp_path: Path) -> None:
             assert client.state().lease.holder is None, "it is released"
 
 
-def test_estop_says_how_soon_reset_leaves_it_and_both_name_the_person(gateway: Gateway, client: Client) -> None:
+def test_estop_and_reset_report_their_effect_and_name_the_person(gateway: Gateway, client: Client) -> None:
     end = gateway.run("estop")
     assert end.returncode == 0
     assert re.fullmatch(r"stopped: 6 Stop frames written within \d+ µs of the request\n", end.stdout)
@@ -187,7 +187,7 @@ def test_help_teaches_every_option_and_the_exit_codes_once() -> None:
     assert "<operator|observer|button|" in run_here("certs", "issue", "--help").stdout
 
 
-def test_ctrl_c_while_it_loads_is_no_traceback(tmp_path: Path) -> None:
+def test_ctrl_c_during_loading_prints_no_traceback(tmp_path: Path) -> None:
     (tmp_path / "typer.py").write_text("raise KeyboardInterrupt\n")
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
     end = subprocess.run([*COMMAND, "stop"], env=environment, capture_output=True, text=True, check=False, timeout=60)

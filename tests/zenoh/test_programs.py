@@ -70,7 +70,7 @@ def test_two_programs_of_one_name_are_told_apart(two: tuple[Client, Client]) -> 
 
 
 @pytest.mark.parametrize("kind", ["stream", "walk"])
-def test_what_drives_has_the_lease_for_its_time(two: tuple[Client, Client], kind: str) -> None:
+def test_a_stream_and_a_walk_hold_the_lease_while_they_drive(two: tuple[Client, Client], kind: str) -> None:
     """A second program of the same name is rejected, by name; it drives once the first has ended."""
     first, second = two
 
@@ -106,9 +106,7 @@ def test_a_stream_that_waits_for_a_reset_leaves_the_lease_to_whoever_resets(two:
         assert first.state().lease.holder == NAME
 
 
-def test_a_second_program_with_the_id_of_a_zenoh_file_stops_the_robot_all_the_same(
-    gateway: Gateway, tmp_path: Path
-) -> None:
+def test_a_second_program_with_the_same_zenoh_id_can_stop_the_robot(gateway: Gateway, tmp_path: Path) -> None:
     file = tmp_path / "copied.json5"
     file.write_text(json.dumps({"id": "ab12", "connect": {"endpoints": [gateway.endpoint]}}))
     with Client(zenoh_config=file) as first:
@@ -120,7 +118,7 @@ def test_a_second_program_with_the_id_of_a_zenoh_file_stops_the_robot_all_the_sa
             second.reset()
 
 
-def test_the_fork_of_a_program_leaves_its_robot_alone(gateway: Gateway) -> None:
+def test_the_fork_of_a_program_cannot_use_its_client(gateway: Gateway) -> None:
     """Zenoh's threads stay with the parent; a session in the child crashed the parent."""
     program = f"""
 import os
@@ -200,7 +198,7 @@ input()
 
 
 @pytest.mark.parametrize("kind", ["stream", "walk"])
-def test_what_another_thread_has_closed_says_so(two: tuple[Client, Client], kind: str) -> None:
+def test_a_closed_stream_or_walk_raises_an_error_that_says_so(two: tuple[Client, Client], kind: str) -> None:
     first, _ = two
     part = first.stream(50) if kind == "stream" else first.walk()
     use = partial(part.set, {1: POSE}) if isinstance(part, Stream) else part.go

@@ -239,7 +239,7 @@ def names(done: Ended, verdict: str) -> list[str]:
 
 
 @pytest.mark.full
-def test_check_goes_the_whole_way(secured: Secured) -> None:
+def test_check_from_a_laptop_names_each_step_of_the_way(secured: Secured) -> None:
     done = run_here("check", "--zenoh-config", str(secured.folder / "anna.json5"))
     assert done.returncode == 0, done
     assert names(done, "failure") == []

@@ -62,7 +62,7 @@ def test_an_incident_is_listed_shown_and_exported_by_its_name_or_as_the_last(fol
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="to become another user takes root")
 @pytest.mark.parametrize("mode", [0o700, 0o755], ids=["a closed folder", "a closed ring"])
-def test_who_may_not_read_it_is_not_told_that_there_is_nothing(mode: int) -> None:
+def test_a_black_box_that_this_user_may_not_read_is_not_reported_as_empty(mode: int) -> None:
     with tempfile.TemporaryDirectory() as name:
         Path(name).chmod(0o711)
         folder = Path(name) / "box"
@@ -139,7 +139,7 @@ def test_a_forged_record_ends_in_no_traceback(folder: Path, ring_at: Path, kind:
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="to give a file away takes root")
-def test_a_name_that_another_user_has_taken_is_left_to_him(
+def test_a_ring_file_of_another_user_is_not_used(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.delenv("RUNTIME_DIRECTORY")
@@ -157,7 +157,7 @@ def test_a_name_that_another_user_has_taken_is_left_to_him(
     assert NAME in capsys.readouterr().out
 
 
-def test_where_no_folder_in_memory_can_be_written_the_ring_is_in_its_own_folder(
+def test_without_a_writable_folder_in_memory_the_ring_is_in_the_state_folder(
     folder: Path, ring_at: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A link of an earlier run led elsewhere."""
@@ -179,7 +179,7 @@ def test_a_ring_without_room_is_named_in_the_log(folder: Path, ring_at: Path, ca
 
 
 @pytest.mark.usefixtures("ring_at")
-def test_a_disk_that_gets_full_is_left_without_half_an_export(folder: Path, tmp_path: Path) -> None:
+def test_a_full_disk_keeps_no_half_of_an_export(folder: Path, tmp_path: Path) -> None:
     copy = tmp_path / "stop.mcap"
 
     with disk_that_takes(50), pytest.raises(ConfigError, match="File too large"):

@@ -619,13 +619,13 @@ def test_each_fault_of_an_installation_is_one_line(
         assert "sudo " in line.fix or "systemctl cat" in line.fix
 
 
-def test_without_python_can(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_python_can_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "can", None)
     (line,) = results(SLCAN(tmp_path), wire.power)
     assert "python-can is not installed" in line.sentence
 
 
-def test_each_command_that_a_message_names_is_the_programs() -> None:
+def test_each_command_in_a_message_exists() -> None:
     files = [file for file in sorted(GATEWAY.rglob("*.py")) if re.search(r"hexapod-gateway |run\[", file.read_text())]
     spoken = (text for file in files for text in texts(file.read_text(), value) if text.count(" ") > 1)
     found = [words for text in spoken for words in parse_commands(text)]

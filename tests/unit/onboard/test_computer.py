@@ -16,7 +16,7 @@ from tests.support.machine_tree import OF_MAY, PI_4, MachineTree
 SPIDEV = "/dev/spidev0.0"
 
 
-def test_a_controller_without_a_device_tree_says_nothing_of_chip_select(tmp_path: Path) -> None:
+def test_without_a_device_tree_the_chip_select_is_unknown(tmp_path: Path) -> None:
     tree = MachineTree(tmp_path)
     (tree.bus.parents[1] / "of_node").unlink()
     assert computer.gpio_selects(SPIDEV, tmp_path) is None
@@ -33,7 +33,7 @@ BUILT = {
 
 
 @pytest.mark.parametrize("version", BUILT)
-def test_when_the_kernel_was_built(tmp_path: Path, version: str) -> None:
+def test_the_build_date_of_a_kernel_is_read(tmp_path: Path, version: str) -> None:
     """Not when its compiler was."""
     MachineTree(tmp_path, version=version)
     assert str(computer.kernel(tmp_path)[1]) == BUILT[version]
@@ -67,7 +67,7 @@ def test_pauses_keep_starts_under_the_units_limit_and_crashes_reach_it() -> None
 
 
 @pytest.mark.parametrize("simulated", [False, True])
-def test_in_a_pause_a_real_robot_gets_stops(monkeypatch: pytest.MonkeyPatch, simulated: bool) -> None:
+def test_during_a_pause_a_real_robot_gets_stops(monkeypatch: pytest.MonkeyPatch, simulated: bool) -> None:
     """Its device may return, and its servos may run since a bus fault before the start."""
     stopped, pauses_s, used = list[Any](), list[float](), settings.Settings()
     monkeypatch.setattr("os.environ", {"NOTIFY_SOCKET": "@systemd", "WATCHDOG_USEC": "1000000"})

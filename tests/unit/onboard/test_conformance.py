@@ -120,21 +120,25 @@ def test_a_plugin_that_keeps_the_contract_ends_stopped(
         (Slow, "FAIL     times          Stops took up to "),
     ],
 )
-def test_what_is_not_kept_is_named(kind: type[ServoWire], line: str, judged: Callable[..., tuple[int, str]]) -> None:
+def test_each_broken_promise_of_a_plugin_is_named(
+    kind: type[ServoWire], line: str, judged: Callable[..., tuple[int, str]]
+) -> None:
     code, said = judged(kind)
     assert code == 1
     assert line in said
     assert "NOT kept" in said
 
 
-def test_after_one_that_does_not_open_nothing_else_is_tried(judged: Callable[..., tuple[int, str]]) -> None:
+def test_after_a_plugin_that_does_not_open_nothing_else_is_tried(judged: Callable[..., tuple[int, str]]) -> None:
     code, said = judged(Absent)
     assert code == 1
     assert said.count("FAIL") == 1, said
     assert "board does not open, so nothing else was tried" in said
 
 
-def test_unplugged_it_has_to_raise(monkeypatch: pytest.MonkeyPatch, judged: Callable[..., tuple[int, str]]) -> None:
+def test_an_unplugged_board_has_to_raise(
+    monkeypatch: pytest.MonkeyPatch, judged: Callable[..., tuple[int, str]]
+) -> None:
     monkeypatch.setattr(conformance, "_UNPLUGGED_S", 0.05)
     plugged = True
 
@@ -154,9 +158,7 @@ def test_unplugged_it_has_to_raise(monkeypatch: pytest.MonkeyPatch, judged: Call
     assert judged(Unplugged, unplug=True)[0] == 0
 
 
-def test_a_wire_that_is_built_in_and_a_person_who_does_not_agree(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_nothing_moves_on_a_built_in_wire_or_without_consent(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     file = tmp_path / "gateway.toml"
     file.write_text('spi.framing = "plain"')
     with pytest.raises(ConfigError, match=r"hexapod-1\.0 is built in"):

@@ -219,7 +219,7 @@ def spoil(folder: Path, kind: int, *, before_zero: int, rest: bytes | None = Non
 
 
 @pytest.mark.virtual_time
-async def test_what_cannot_be_played_has_a_sentence_and_the_rest_is_played(folder: Path) -> None:
+async def test_records_that_cannot_be_played_are_named_and_the_rest_is_played(folder: Path) -> None:
     await played(folder, "watchdog")
     ring = (folder / RING_FILE).resolve()
     whole = ring.read_bytes()
@@ -240,7 +240,7 @@ async def test_what_cannot_be_played_has_a_sentence_and_the_rest_is_played(folde
 
 
 @pytest.mark.virtual_time
-async def test_what_a_flood_left_no_room_for_has_a_sentence_and_the_rest_is_played(folder: Path) -> None:
+async def test_records_lost_in_a_flood_are_named_and_the_rest_is_played(folder: Path) -> None:
     robot = recorded(Robot({"limits": {"leg_rate_hz": 2}, "state": {"path": str(folder)}}))
     await asyncio.sleep(1.5)
     await driven(robot, 1, 1, source="ben")
@@ -275,7 +275,7 @@ async def test_an_incident_of_another_robot_plays_on_a_laptop(folder: Path) -> N
     assert re.fullmatch(r"Decided again from −\S+ s: the same \d+ frames\.", lines[-1])
 
 
-def test_each_rule_is_one_of_the_contract() -> None:
+def test_each_rule_of_a_timeline_is_in_the_contract() -> None:
     page = (Path(__file__).parents[3] / "docs" / "interface.md").read_text()
     assert all(f"**{name}.**" in page or f"**{name}:**" in page for name in RULES.values())
     assert {*Cause} <= RULES.keys()

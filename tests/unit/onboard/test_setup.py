@@ -189,7 +189,7 @@ def test_setup_makes_a_robot_of_a_new_pi(computer: Computer) -> None:
     ],
     ids=["another framing", "an interrupted setup left it out", "it is tried again and again"],
 )
-def test_what_becomes_of_the_service(
+def test_setup_starts_or_restarts_the_service(
     computer: Computer, state: str, files: dict[str, str], options: dict[str, Any], line: str
 ) -> None:
     for path, text in {TOML: '# mine\nspi.framing = "plain"\n', **files}.items():
@@ -247,7 +247,7 @@ def test_at_a_terminal_it_asks_until_the_answer_is_one(computer: Computer, monke
     assert answers == []
 
 
-def test_nobody_answers(computer: Computer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_an_answer_setup_names_the_option(computer: Computer, monkeypatch: pytest.MonkeyPatch) -> None:
     def end(_: str) -> str:
         raise EOFError
 
@@ -264,7 +264,7 @@ def test_an_empty_file_is_made_anew(computer: Computer) -> None:
     assert tomllib.loads(computer.read(TOML))["spi"] == {"framing": "plain"}
 
 
-def test_a_service_that_does_not_start(computer: Computer) -> None:
+def test_setup_reports_why_the_service_does_not_start(computer: Computer) -> None:
     computer.write("/dev/spidev0.0", "")
     computer.systemd.is_broken = lambda: True
     computer.systemd.journal = "hexapod-gateway: spi.speed_hz is too fast\nsomething else\n"
@@ -272,7 +272,7 @@ def test_a_service_that_does_not_start(computer: Computer) -> None:
         computer.says(framing="plain")
 
 
-def test_the_elkapod_on_a_pi_5(computer: Computer) -> None:
+def test_setup_switches_on_and_frees_the_elkapods_uart(computer: Computer) -> None:
     """Its UART is switched on, and freed of console and login."""
     computer.write(CONFIG_TXT, "dtparam=spi=on\n")
     computer.write("/proc/device-tree/model", "Raspberry Pi 5 Model B Rev 1.0\0")
@@ -287,7 +287,7 @@ def test_the_elkapod_on_a_pi_5(computer: Computer) -> None:
     assert f"/dev/ttyAMA1 is on in {CONFIG_TXT}, but is not there: a reboot is due" in computer.says(dry=True)
 
 
-def test_what_the_former_installer_left(computer: Computer) -> None:
+def test_files_of_the_former_installer_are_removed(computer: Computer) -> None:
     """Its units would go before the package's; without a package they are what runs."""
     unit = computer.write("/etc/systemd/system/hexapod-gateway.service", "")
     computer.write("/opt/hexapod-gateway/venv-1/bin/hexapod-gateway", "")
@@ -396,7 +396,7 @@ def test_an_unedited_zenoh_file_gets_new_access_rules(computer: Computer, people
     assert computer.read(f"{ZENOH}/gateway.json5") == edited
 
 
-def test_what_certs_prints_for_a_robot_is_taken_as_it_is(
+def test_the_commands_that_certs_prints_for_a_robot_work(
     computer: Computer, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """By `init`, `issue` and `renew`: the files that it names, by its `setup` command."""

@@ -97,7 +97,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("state", "text", "named", "expected"), CASES)
-def test_the_settings_that_are_used(
+def test_stop_servos_uses_the_settings_that_the_controller_understands(
     robot: Robot, state: str, text: str | None, named: bool, expected: Framing | None
 ) -> None:
     """It stops wherever anything says how; only where nothing does, it writes nothing that could jam a controller."""
@@ -140,7 +140,7 @@ def test_only_another_gateways_robot_is_not_stopped_by_the_end_of_a_service_that
     assert len(robot.used) == stops
 
 
-def test_a_variable_that_names_another_device_is_meant(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_variable_that_names_another_device_has_precedence(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     robot.file.write_text(PLAIN)
     robot.service(RUNS)
     monkeypatch.setenv("HEXAPOD_SPI__DEVICE", "/dev/spidev1.0")
@@ -164,16 +164,16 @@ def bus(monkeypatch: pytest.MonkeyPatch) -> BoardBus:
     return found
 
 
-def test_a_wrong_board_is_no_reason_to_write_no_stop(robot: Robot, capsys: pytest.CaptureFixture[str]) -> None:
+def test_stops_are_written_although_the_boards_settings_are_wrong(
+    robot: Robot, capsys: pytest.CaptureFixture[str]
+) -> None:
     robot.file.write_text(PLAIN + "[power]\ninterface = 3\n")
     assert not stop.run(robot.file)
     assert len(robot.used) == 1
     assert BY_HAND in capsys.readouterr().err
 
 
-def test_the_stops_wait_for_no_reader_of_what_is_wrong_with_the_board(
-    robot: Robot, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_stops_precede_the_report_of_wrong_settings_of_the_board(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     def nobody_reads(*_: str) -> None:
         assert len(robot.used) == 1
         raise BrokenPipeError
@@ -185,9 +185,7 @@ def test_the_stops_wait_for_no_reader_of_what_is_wrong_with_the_board(
     assert len(robot.used) == 1
 
 
-def test_spi_fails_and_the_supply_is_taken_all_the_same(
-    robot: Robot, bus: BoardBus, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_supply_is_cut_although_spi_fails(robot: Robot, bus: BoardBus, capsys: pytest.CaptureFixture[str]) -> None:
     robot.file.write_text(PLAIN + BOARD)
     robot.spi_fails = True
     with pytest.raises(SpiError):
@@ -196,7 +194,7 @@ def test_spi_fails_and_the_supply_is_taken_all_the_same(
     assert CONFIRMED in capsys.readouterr().out
 
 
-def test_what_is_not_confirmed_ends_with_a_code_of_its_own(
+def test_a_cut_without_confirmation_has_its_own_exit_code(
     robot: Robot, bus: BoardBus, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     robot.file.write_text(PLAIN + BOARD)

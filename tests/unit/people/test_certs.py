@@ -230,7 +230,7 @@ def test_each_laptop_has_a_common_name_of_its_own_until_all_are_taken(
 # ---- the list
 
 
-def test_who_cannot_be_revoked_and_that_a_revoked_certificate_is_not_renewed(folder: Path) -> None:
+def test_an_unknown_name_is_not_revoked_and_a_revoked_certificate_is_not_renewed(folder: Path) -> None:
     issue(folder, "anna")
     before, pem = contents(folder), (folder / "anna.pem").read_bytes()
     for name in ("nobody", "gateway", "ca", ""):
@@ -258,7 +258,7 @@ def test_of_a_list_with_one_bit_changed_only_what_the_ca_signed_is_taken(folder:
             assert revocation.parse(changed, cas)._replace(pem=made.pem) == made
 
 
-def test_only_a_higher_number_takes_its_place(folder: Path) -> None:
+def test_only_a_list_with_a_higher_number_replaces_another(folder: Path) -> None:
     five, six, other_five = list_of(folder, 5), list_of(folder, 6), list_of(folder, 5, "operator-00")
     assert revocation.why_not_newer(five, None) is None
     assert revocation.why_not_newer(six, five) is None
@@ -278,7 +278,7 @@ def test_two_folders_that_each_revoked_somebody_are_merged(folder: Path) -> None
     assert {each.common_name: state for each, state in certs.folder.states(folder)}["operator-01"] == "revoked"
 
 
-def test_of_two_that_revoke_somebody_at_once_none_is_lost(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_entry_is_lost_if_two_people_revoke_at_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     issue(folder, "anna", "bert")
     second, sign = threading.Thread(target=certs.folder.revoke, args=(folder, "bert")), revocation.sign
 
@@ -345,7 +345,7 @@ def test_a_list_that_cannot_be_read_lets_nobody_in_and_one_of_another_ca_concern
     assert kept.known is None
 
 
-def test_a_disk_that_is_full_leaves_the_list_before(folder: Path, tmp_path: Path) -> None:
+def test_a_list_that_cannot_be_written_leaves_the_earlier_one(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="the earlier list stays in force"):
         revocations.keep(tmp_path / "nowhere" / "revoked.crl", list_of(folder, 3))
 
@@ -361,7 +361,7 @@ def test_an_existing_ca_is_never_replaced(folder: Path) -> None:
     assert "has a CA already" in fault(lambda: certs.folder.init(folder, HOSTS))
 
 
-def test_issue_takes_back_everything_when_the_bundle_cannot_be_made(folder: Path, tmp_path: Path) -> None:
+def test_issue_removes_its_files_if_the_bundle_cannot_be_made(folder: Path, tmp_path: Path) -> None:
     before = contents(folder)
     (tmp_path / "there.zip").write_text("mine")
     (tmp_path / "file").write_text("")
@@ -404,12 +404,12 @@ NO_NAMES = ("-a.local", "a..b", "*.local", "a_b", "rob ot", '"],evil:["', "x" * 
         (["robot.local", "[2001:DB8::7]"], "Zenoh dials no IPv6 address over TLS"),
     ],
 )
-def test_hosts_that_cannot_be(tmp_path: Path, hosts: list[str], sentence: str) -> None:
+def test_invalid_hosts_are_rejected(tmp_path: Path, hosts: list[str], sentence: str) -> None:
     assert sentence in fault(lambda: certs.folder.init(tmp_path / "D", hosts))
     assert names(tmp_path) == set()
 
 
-def test_a_folder_without_a_ca(tmp_path: Path) -> None:
+def test_a_folder_without_a_ca_is_named(tmp_path: Path) -> None:
     for directory in (tmp_path, tmp_path / "missing"):
         assert "cannot read the key" in fault(partial(issue, directory, "alice"))
     assert "cannot read" in fault(lambda: certs.folder.expiries(tmp_path / "missing"))
@@ -444,14 +444,14 @@ def test_a_file_that_is_broken_or_anothers_is_one_sentence(
     assert contents(folder) == before
 
 
-def test_a_ca_that_expired(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_expired_ca_issues_and_renews_nothing(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "cannot be a name here" in fault(lambda: certs.folder.renew(folder, "ca"))
     monkeypatch.setattr(certs.folder, "now_utc", lambda: NOW + 3651 * DAY)
     assert "expired" in fault(partial(issue, folder, "alice"))
     assert "expired" in fault(lambda: certs.folder.renew(folder, "gateway"))
 
 
-def test_zenoh_files_with_faults(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_faults_in_zenoh_files_are_named(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     certs.folder.issue(folder, "alice", "operator")
     with monkeypatch.context() as patch:
         patch.setattr(certs.folder, "now_utc", lambda: NOW - 10 * DAY)
