@@ -7,16 +7,22 @@ A table stands below its heading: fields and words from `schemas`, settings from
 import json
 import re
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import MISSING, fields, is_dataclass
 from itertools import groupby
-from typing import Any, Final
+from typing import Any, Final, NamedTuple, get_args, get_origin
 
 import typer
 
 from gateway.cli import app
+from gateway.host.settings_reader import is_others, words
+from gateway.host.settings_table import START_STAGGER_MS, Allowed
+from gateway.model.protocols import SpiProtocol
 from gateway.onboard.commands import setup_app
-from release.settings_page import ROOT, schema, settings_rows
+from gateway.robot.settings import Settings
+from release.build import ROOT
 from schemas import __main__ as messages
+from schemas.robot import SERVO_IDS
 from schemas.words import Cause, Kind, Mode, Reason, Value, WatchdogState
 
 PAGE, SCHEMA = ROOT / "docs/interface.md", ROOT / "docs/settings.schema.json"
@@ -41,17 +47,17 @@ def tables() -> dict[str, str]:
     for file, text in messages.documents().items():
         document, name = json.loads(text), file.removesuffix(".json")
         rows = list(_fields(document, name))
-        for shared, fields in (("Sender", _SENDER), ("Answer", _ANSWER)):
-            part = [row for row in rows if row[0] in fields]
-            if len(part) == len(fields):
+        for shared, names in (("Sender", _SENDER), ("Answer", _ANSWER)):
+            part = [row for row in rows if row[0] in names]
+            if len(part) == len(names):
                 found.setdefault(f"### {shared}", _table(("field", "type", "meaning"), _joined(part)))
                 rows = [row for row in rows if row not in part]
         rows = _folded(rows, name, seen)
         seen.setdefault(frozenset(rows), name)
         found[f"### {name}"] = _table(("field", "type", "meaning"), _joined(rows))
-    for words in _WORDS:
-        head = ("value", "meaning", "stops") if words is Kind else ("value", "meaning")
-        found[f"### {words.__name__}"] = _table(head, _words(words))
+    for kind in _WORDS:
+        head = ("value", "meaning", "stops") if kind is Kind else ("value", "meaning")
+        found[f"### {kind.__name__}"] = _table(head, _words(kind))
     found["## Settings"] = _table(("setting", "default", "range", "meaning"), settings_rows())
     commands = (*_commands(typer.main.get_command(app), []), *_commands(typer.main.get_command(setup_app), ["setup"]))
     found["## Commands"] = _table(("command", "does", "options"), commands)
@@ -65,9 +71,9 @@ def _table(head: tuple[str, ...], rows: Rows) -> str:
     return "".join((whole[0], "|" + "---|" * len(head) + "\n", *whole[1:]))
 
 
-def _words(words: type[Value]) -> Rows:
-    stops = [("`true`" if each.stops else "",) if isinstance(each, Kind) else () for each in words]
-    return [(f"`{each}`", each.meaning, *more) for each, more in zip(words, stops, strict=True)]
+def _words(kind: type[Value]) -> Rows:
+    stops = [("`true`" if each.stops else "",) if isinstance(each, Kind) else () for each in kind]
+    return [(f"`{each}`", each.meaning, *more) for each, more in zip(kind, stops, strict=True)]
 
 
 def _fields(document: Node, name: str) -> Iterator[Field]:
@@ -209,6 +215,98 @@ def _commands(command: Any, path: list[str]) -> Iterator[tuple[str, str, str]]:
 def _exit_codes() -> Rows:
     codes = str(typer.main.get_command(app).epilog).partition("Exit codes: ")[2].rstrip(".")
     return [(code, meaning) for code, _, meaning in (each.partition(" ") for each in codes.split("; "))]
+
+
+# ---- the settings: their rows, and the JSON Schema of gateway.toml
+
+
+class Setting(NamedTuple):
+    """One setting, as the table has it."""
+
+    kind: Any
+    default: Any
+    """MISSING if there is none: a servo's setting."""
+    allowed: Allowed
+
+
+def settings(section: Any = Settings, prefix: str = "") -> dict[str, Setting]:
+    """Return every setting by its dotted name; N is a servo."""
+    found: dict[str, Setting] = {}
+    for each in fields(section):
+        if is_others(each):
+            continue
+        name = f"{prefix}{each.name}"
+        inner = get_args(each.type)[1] if get_origin(each.type) is Mapping else each.type
+        if is_dataclass(inner):
+            found |= settings(inner, f"{name}.N." if inner is not each.type else f"{name}.")
+        else:
+            found[name if inner is each.type else f"{name}.N"] = Setting(inner, each.default, each.metadata["allowed"])
+    return found
+
+
+def limits(setting: Setting) -> str:
+    """Return the range as the table writes it: `0 to 1000`, or the words."""
+    if setting.allowed.limits is not None:
+        return " to ".join(map(str, setting.allowed.limits))
+    return ", ".join(f"`{word}`" for word in words(setting.kind))
+
+
+def settings_rows() -> list[tuple[str, ...]]:
+    """Return the rows of docs/interface.md."""
+    rows: list[tuple[str, ...]] = []
+    for name, setting in settings().items():
+        default = "none" if setting.default is MISSING else f"`{json.dumps(setting.default)}`"
+        if name == "spi.speed_hz":
+            default = "; ".join(f"`{each.speed_hz}` with `{each}`" for each in SpiProtocol)
+        if name == "limits.start_stagger_ms":
+            default = f"`{START_STAGGER_MS}`; `0.0` with a power board or `{SpiProtocol.ELKAPOD_2025}`"
+        if name == "spi.framing":  # required for a real device
+            default = f"none; {default} with `--sim`"
+        rows.append((f"`{name}`", default, limits(setting), setting.allowed.meaning))
+    return rows
+
+
+_TYPES: Final = {bool: "boolean", int: "integer", float: "number", str: "string"}
+
+
+def schema() -> dict[str, Any]:
+    """Return the JSON Schema of gateway.toml."""
+    servo = "^(?:" + "|".join(map(str, SERVO_IDS)) + ")$"
+    whole: dict[str, Any] = _object("hexapod-gateway: gateway.toml")
+    for name, setting in settings().items():
+        at = whole
+        *path, last = name.split(".")
+        for part in path:
+            if part == "N":
+                at = at.setdefault("patternProperties", {}).setdefault(servo, _object())
+            else:
+                at = at["properties"].setdefault(part, _object())
+        where = at.setdefault("patternProperties", {}) if last == "N" else at["properties"]
+        where[servo if last == "N" else last] = _value(setting)
+    return whole
+
+
+def _object(title: str = "") -> dict[str, Any]:
+    return ({"title": title} if title else {}) | {"type": "object", "properties": {}, "additionalProperties": False}
+
+
+def _value(setting: Setting) -> dict[str, Any]:
+    kind, items = setting.kind, {}
+    if get_origin(kind) is tuple:
+        found: dict[str, Any] = {"type": "array", "items": {"type": _TYPES[get_args(kind)[0]]}}
+    elif choice := words(kind):
+        found = {"enum": list(choice)}
+    else:
+        found = {"type": _TYPES[kind]}
+    if setting.allowed.limits is not None:
+        items = dict(zip(("minimum", "maximum"), setting.allowed.limits, strict=True))
+    low = setting.allowed.limits[0] if setting.allowed.limits else None
+    if setting.default is not MISSING and (low is None or setting.default >= low):
+        items |= {"default": setting.default}
+    return found | items | ({"description": setting.allowed.meaning} if setting.allowed.meaning else {})
+
+
+# ---- the page
 
 
 def page(text: str) -> str:

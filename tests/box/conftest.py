@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 
 from tests.box.box import Box
-from tests.box.installed import InstalledGateway
-from tests.box.package import Packages, prepare
+from tests.box.installed import InstalledGateway, Packages, prepare
 
 
 @pytest.fixture(scope="session")

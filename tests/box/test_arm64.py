@@ -11,7 +11,7 @@ import pytest
 from release.build import build
 from release.deb import deb, dependencies
 from tests.box.box import PATH_INSIDE, lacks_tools
-from tests.box.package import WHEN
+from tests.box.installed import WHEN
 from tests.support.child import Child
 from tests.support.lacks import skip_where
 

@@ -9,9 +9,8 @@ import pytest
 
 from tests.box.box import Box
 from tests.box.faults import CERTS, FAULTS, GIVEN, NAMES, OTHER, Fault
-from tests.box.installed import NAME
-from tests.box.package import Packages, install, share
-from tests.box.package import Robot as Packaged
+from tests.box.installed import NAME, Packages, install, share
+from tests.box.installed import Robot as Packaged
 
 pytestmark = [pytest.mark.systemd, pytest.mark.nightly]
 

@@ -14,8 +14,7 @@ from typing import Final
 import pytest
 
 from tests.box.box import lacks_tools
-from tests.box.installed import NAME, wait_for_stops
-from tests.box.package import Packages
+from tests.box.installed import NAME, Packages, wait_for_stops
 from tests.box.test_pages import debian
 from tests.hil.bed import SpiTestbed, missing_packages
 from tests.support.child import Child

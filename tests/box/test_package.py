@@ -10,12 +10,13 @@ import pytest
 from gateway import certs
 from release.deb import debian_version
 from tests.box.box import SHARED_INSIDE, Box, Unit
-from tests.box.installed import CONFIGURATION, NAME, wait_for_stops
-from tests.box.package import (
+from tests.box.installed import (
     BROKEN,
     CONFIG_TXT,
+    CONFIGURATION,
     LATE,
     LIBRARY,
+    NAME,
     UNIT_FILE,
     Packages,
     Robot,
@@ -24,6 +25,7 @@ from tests.box.package import (
     hold,
     install,
     let_go,
+    wait_for_stops,
 )
 
 pytestmark = pytest.mark.systemd

@@ -12,8 +12,7 @@ from typing import Final
 import pytest
 
 from tests.box.box import PATH_INSIDE, Box
-from tests.box.installed import NAME
-from tests.box.package import CONFIG_TXT, LIBRARY, STOCK, WITHOUT_UDEV, Packages, share, simulate
+from tests.box.installed import CONFIG_TXT, LIBRARY, NAME, STOCK, WITHOUT_UDEV, Packages, share, simulate
 from tests.support.pages import SCP, SSH, SUDO, blocks, commands, section
 
 pytestmark = [pytest.mark.systemd, pytest.mark.nightly]

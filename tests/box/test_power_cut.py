@@ -13,8 +13,7 @@ from pathlib import Path
 import pytest
 
 from tests.box.box import PATH_INSIDE, Box
-from tests.box.installed import CONFIGURATION, NAME
-from tests.box.package import LIBRARY, Packages, Robot, dpkg, install, prepare, share, simulate
+from tests.box.installed import CONFIGURATION, LIBRARY, NAME, Packages, Robot, dpkg, install, prepare, share, simulate
 from tests.support.child import Child
 
 pytestmark = pytest.mark.systemd

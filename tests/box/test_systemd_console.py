@@ -8,8 +8,7 @@ import shlex
 import pytest
 
 from tests.box.box import Unit
-from tests.box.installed import NAME, PYTHON, InstalledGateway
-from tests.box.package import dpkg
+from tests.box.installed import NAME, PYTHON, InstalledGateway, dpkg
 from tests.support.child import Child
 
 pytestmark = [pytest.mark.systemd, pytest.mark.nightly]

@@ -8,7 +8,7 @@ import shutil
 from pathlib import Path
 from typing import Final
 
-from tests.box.package import Packages
+from tests.box.installed import Packages
 from tests.kernel import parts as of
 from tests.kernel.parts import Parts, run
 from tests.support.runs import ENDS_WITH_US

@@ -17,7 +17,7 @@ from gateway.host.settings_table import LimitSettings, ServoLimits, SpiSettings,
 from gateway.model.frames import Framing
 from gateway.robot import settings
 from gateway.robot.settings import FramingNotSetError, Settings
-from release import settings_page
+from release import interface_page
 
 NO_VARIABLE = "is no setting; a variable is named like HEXAPOD_SPI__DEVICE"
 WORD = "is not allowed: input should be"
@@ -115,7 +115,7 @@ def test_a_boolean_variable_has_the_usual_words(monkeypatch: pytest.MonkeyPatch,
 
 RANGES: dict[str, tuple[float, float]] = {
     name.replace(".N.", ".32."): setting.allowed.limits
-    for name, setting in settings_page.settings().items()
+    for name, setting in interface_page.settings().items()
     if setting.allowed.limits is not None and name != "watchdog.landing.N"
 }
 
