@@ -83,7 +83,7 @@ def _free_uart(machine: Machine, uart: str) -> None:
     """End the kernel's console and the login on the controller's UART."""
     name, serial = uart.rpartition("/")[2], machine.path(_SERIAL)
     names = {name, "serial0"} if serial.is_symlink() and serial.readlink().name == name else {name}
-    for cmdline in (f"{each}/cmdline.txt" for each in _FOLDERS if machine.path(f"{each}/cmdline.txt").is_file()):
+    for cmdline in (f"{each}/cmdline.txt" for each in _FOLDERS):
         text = _text(machine, cmdline)
         if (kept := without_console(text, names)).split() != text.split():
             _change(machine, cmdline, kept, f"take the console off {uart}")

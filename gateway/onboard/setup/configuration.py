@@ -21,7 +21,6 @@ from gateway.onboard.setup.machine import ETC, SERVICE, Machine
 from gateway.people.terminal import say
 
 FILE: Final = f"{ETC}/gateway.toml"
-TEMPLATE: Final = f"/usr/share/{SERVICE}/gateway.toml"
 _SHIPPED: Final = Path(gateway.__file__).parent / "deploy"
 _WIRE, _FRAMING = "wire.name", "spi.framing"
 _DEFAULT: Final = WireSettings().name
@@ -63,7 +62,7 @@ def shipped(name: str) -> bytes:
 
 def read(machine: Machine) -> Configuration:
     """Return the robot's configuration; the template if there is none. Raises ConfigError."""
-    data = machine.read(FILE) or machine.read(TEMPLATE) or shipped("gateway.toml")
+    data = machine.read(FILE) or shipped("gateway.toml")
     try:
         tables = nesting.read_toml(data)
     except ValueError as error:

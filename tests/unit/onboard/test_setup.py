@@ -77,7 +77,6 @@ class Computer:
         self.root, self.systemd, self.busy = root, Systemd(), ""
         gid = os.getgid()
         self.write("/etc/group", f"root:x:0:\nhexapod-gateway:x:{gid}:\nhexapod-console:x:{gid}:\n")
-        self.write("/usr/share/hexapod-gateway/gateway.toml", TEMPLATE.read_text())
         self.write(TOML, TEMPLATE.read_text(), 0o640)
         (root / "etc/hexapod-gateway").chmod(0o750)
 
