@@ -94,10 +94,7 @@ def write(machine: Machine, found: Configuration, changes: Mapping[str, str]) ->
     text = found.text
     for setting, value in changes.items():
         table, _, name = setting.partition(".")
-        try:
-            text = with_value(text, table, name, value)
-        except ConfigError as error:
-            raise ConfigError(f"{FILE} {error}") from None
+        text = with_value(text, table, name, value)
     new = "made from the template, " if machine.read(FILE) is None else ""
     stated = " and ".join(f'{setting} = "{value}"' for setting, value in changes.items())
     if changes or new:
@@ -141,7 +138,7 @@ def with_value(text: str, table: str, name: str, value: str) -> str:
             changed = f"{text[: found.end(1)]}{new}{text[found.end() :]}"
             if _differs_by_this_alone(text, changed, table, name, value):
                 return changed
-    raise ConfigError(f"sets {table}.{name} in a way that a person must change; it needs {said} in [{table}]")
+    raise ConfigError(f"{FILE} sets {table}.{name} in a way that a person must change; it needs {said} in [{table}]")
 
 
 def _differs_by_this_alone(before: str, after: str, table: str, name: str, value: str) -> bool:
