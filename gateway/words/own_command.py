@@ -12,7 +12,7 @@ CONNECT_VARIABLE: Final = "HEXAPOD_CONNECT"
 """The environment variable that is the default of `--connect`."""
 DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
 """Where a gateway listens, and its clients connect, unless somebody names another endpoint."""
-_options: Final[dict[str, str]] = {}
+_options: Final[dict[str, str | Path | None]] = {}
 
 
 def plain(endpoints: Sequence[str]) -> str | None:
@@ -23,11 +23,7 @@ def plain(endpoints: Sequence[str]) -> str | None:
 
 def reach_by(**options: str | Path | None) -> None:
     """Add the options `connect` and `zenoh_config` to the commands of later messages; None removes an option."""
-    for name, value in options.items():
-        option = _option(name)
-        _options.pop(option, None)
-        if value is not None:
-            _options[option] = shlex.quote(str(value))
+    _options.update(options)
 
 
 def this_command() -> str:
@@ -44,18 +40,13 @@ def command(arguments: str, **given: str | Path | None) -> str:
 
     `given` replaces the options of `reach_by`, for another gateway than the command line's.
     """
-    default = {} if CONNECT_VARIABLE in os.environ else {"--connect": DEFAULT_ENDPOINT}
-    options = (f"{option} {value}" for option, value in _options.items() if default.get(option) != value)
-    if given:
-        options = (f"{_option(name)} {shlex.quote(str(value))}" for name, value in given.items() if value is not None)
-    return " ".join((this_command(), arguments, *options))
+    default = {} if CONNECT_VARIABLE in os.environ else {"connect": DEFAULT_ENDPOINT}
+    known = {name: value for name, value in _options.items() if value != default.get(name)}
+    options = ((name.replace("_", "-"), value) for name, value in (given or known).items() if value is not None)
+    return " ".join((this_command(), arguments, *(f"--{name} {shlex.quote(str(value))}" for name, value in options)))
 
 
 def install(extra: str) -> str:
     """Return the command that installs an optional part, such as "record", for the Python that runs this."""
     python = shlex.quote(sys.executable)
     return f"{python} -m pip install 'hexapod-gateway[{extra}]'"
-
-
-def _option(name: str) -> str:
-    return f"--{name.replace('_', '-')}"
