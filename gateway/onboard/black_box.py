@@ -1,4 +1,4 @@
-"""`hexapod-gateway incidents`: list, explain and export the incidents in the black box."""
+"""`hexapod-gateway incidents`: list, explain, export and replay the incidents in the black box."""
 
 import json
 from collections.abc import Iterator, Sequence
@@ -24,126 +24,120 @@ from gateway.words.own_command import this_command
 LAST: Final = "last"
 
 
-def list_all(settings: Settings, *, as_json: bool = False) -> None:
-    """Print the incidents, newest first. Raises ConfigError."""
-    with _forged(settings):
-        records = _read(settings)
-        rows = [
-            {"id": each.name, "time": time_of(each.name).isoformat(), "what": headline(messages(each, records))}
-            for each in reversed(find(records))
-        ]
-    if as_json:
-        typer.echo(json.dumps(rows, indent=1))
-        return
-    for row in rows:
-        say(f"{row['id']:<32}  {row['time'][:19].replace('T', ' ')} UTC  {row['what']}")
-    if not rows:
-        say(f"No incidents in {_folder(settings)}.")
+class BlackBox:
+    """The black box that a gateway with these settings keeps on this machine.
 
-
-def show(settings: Settings, name: str, *, as_json: bool = False) -> None:
-    """Print the story of the incident `name` (an id, or `last`).
-
-    Raises GatewayError without it, and ConfigError if the black box is off or unreadable.
+    Each method raises ConfigError if the box cannot be read or may be forged, and GatewayError without the incident.
     """
-    with _forged(settings):
-        incident, records = _one(settings, name)
-        lines = story(list(messages(incident, records)))
-    if as_json:
-        typer.echo(json.dumps({"id": incident.name, "story": lines}, indent=1, ensure_ascii=False))
-        return
-    for line in lines:
-        say(line)
 
+    def __init__(self, settings: Settings) -> None:
+        """Raises ConfigError if the black box is off."""
+        folder = rings.folder_to_read(settings)
+        if folder is None:
+            raise ConfigError(
+                "the black box is off: no gateway has kept one on this machine. `make run` and the installed service "
+                "keep one; for a gateway that you start yourself, type:\n"
+                f"mkdir -p ~/hexapod && HEXAPOD_STATE__PATH=$HOME/hexapod {this_command()} run --sim\n"
+                "and HEXAPOD_STATE__PATH=$HOME/hexapod before `incidents`"
+            )
+        self._folder = folder
 
-def export(settings: Settings, name: str, file: Path) -> None:
-    """Write the incident `name` to the MCAP file `file`.
+    def list_all(self, *, as_json: bool = False) -> None:
+        """Print the incidents, newest first."""
+        with self._forged():
+            records = self._read()
+            rows = [
+                {"id": each.name, "time": time_of(each.name).isoformat(), "what": headline(messages(each, records))}
+                for each in reversed(find(records))
+            ]
+        if as_json:
+            typer.echo(json.dumps(rows, indent=1))
+            return
+        for row in rows:
+            say(f"{row['id']:<32}  {row['time'][:19].replace('T', ' ')} UTC  {row['what']}")
+        if not rows:
+            say(f"No incidents in {self._folder}.")
 
-    Raises as `show` does, and ConfigError if `file` exists or cannot be written.
-    """
-    with _forged(settings):
-        incident, records = _one(settings, name)
-        write_file(file, incident, records)
-    say(f"{incident.name} is in {file}")
+    def show(self, name: str, *, as_json: bool = False) -> None:
+        """Print the story of the incident `name` (an id, or `last`)."""
+        with self._forged():
+            incident, records = self._one(name)
+            lines = story(list(messages(incident, records)))
+        if as_json:
+            typer.echo(json.dumps({"id": incident.name, "story": lines}, indent=1, ensure_ascii=False))
+            return
+        for line in lines:
+            say(line)
 
+    def export(self, name: str, file: Path) -> None:
+        """Write the incident `name` to the MCAP file `file`. Raises ConfigError if it exists or cannot be written."""
+        with self._forged():
+            incident, records = self._one(name)
+            write_file(file, incident, records)
+        say(f"{incident.name} is in {file}")
 
-def replay(
-    settings: Settings,
-    name: str,
-    *,
-    until: str | None = None,
-    changes: Sequence[str] = (),
-    file: Path | None = None,
-    as_json: bool = False,
-) -> bool:
-    """Decide the incident `name` again, and print what decided. Return whether the frames are those written.
+    def replay(
+        self,
+        name: str,
+        *,
+        until: str | None = None,
+        changes: Sequence[str] = (),
+        file: Path | None = None,
+        as_json: bool = False,
+    ) -> bool:
+        """Decide the incident `name` again, and print what decided. Return whether the frames are those written.
 
-    `until`: seconds after the incident; `changes`: other settings, as NAME=VALUE; `file`: a new test. Raises as `show`
-    does, and ConfigError if not all of it can be played.
-    """
-    with _forged(settings):
-        incident, records = _one(settings, name)
-        title = f"{incident.name}: {headline(messages(incident, records))}"
-        until_ns = incident.end_ns if until is None else incident.zero_ns + seconds(until)
-        change = change_of(records.about_at(incident.zero_ns), changes)
-        journal = journal_of(records, incident, until_ns)
-        played = play(journal, incident.zero_ns, change)
-    if as_json:
-        rows = [line._asdict() for line in played.lines]
-        found = {"id": incident.name, "same": played.same, "frames": played.frames, "result": played.result}
-        typer.echo(json.dumps({**found, "problem": played.problem, "timeline": rows}, indent=1, ensure_ascii=False))
-    else:
-        for text in (title, *told(played.lines), played.result):
-            say(text)
-    if file is not None:
-        with new_file(file) as opened:
-            opened.write(as_test(incident, title, supervisor_of(journal, change), played.decided).encode())
-        hint(f"{incident.name} is in {file}")
-    if played.problem:
-        raise ConfigError(f"{incident.name} is not played to its end: {played.problem}")
-    return played.same
+        `until`: seconds after the incident; `changes`: other settings, as NAME=VALUE; `file`: a new test. Raises
+        ConfigError if not all of it can be played.
+        """
+        with self._forged():
+            incident, records = self._one(name)
+            title = f"{incident.name}: {headline(messages(incident, records))}"
+            until_ns = incident.end_ns if until is None else incident.zero_ns + seconds(until)
+            change = change_of(records.about_at(incident.zero_ns), changes)
+            journal = journal_of(records, incident, until_ns)
+            played = play(journal, incident.zero_ns, change)
+        if as_json:
+            rows = [line._asdict() for line in played.lines]
+            found = {"id": incident.name, "same": played.same, "frames": played.frames, "result": played.result}
+            typer.echo(json.dumps({**found, "problem": played.problem, "timeline": rows}, indent=1, ensure_ascii=False))
+        else:
+            for text in (title, *told(played.lines), played.result):
+                say(text)
+        if file is not None:
+            with new_file(file) as opened:
+                opened.write(as_test(incident, title, supervisor_of(journal, change), played.decided).encode())
+            hint(f"{incident.name} is in {file}")
+        if played.problem:
+            raise ConfigError(f"{incident.name} is not played to its end: {played.problem}")
+        return played.same
 
+    @contextmanager
+    def _forged(self) -> Iterator[None]:
+        """Turn what reading a forged record raises into a ConfigError."""
+        try:
+            yield
+        except ring_reader.FORGED as error:
+            where = f"{self._folder / RING_FILE}: a record is not what this gateway writes"
+            raise ConfigError(f"{where} ({type(error).__name__}: {error}); the black box may be forged") from error
 
-@contextmanager
-def _forged(settings: Settings) -> Iterator[None]:
-    """Turn what reading a forged record raises into a ConfigError."""
-    try:
-        yield
-    except ring_reader.FORGED as error:
-        where = f"{_folder(settings) / RING_FILE}: a record is not what this gateway writes"
-        raise ConfigError(f"{where} ({type(error).__name__}: {error}); the black box may be forged") from error
+    def _read(self) -> Records:
+        """Return all records, none without a ring. Raises ConfigError if they cannot be read."""
+        try:
+            return ring_reader.read(self._folder / RING_FILE)
+        except ring_reader.NoRingError as error:
+            if isinstance(error.__cause__, FileNotFoundError):
+                return Records({}, written=False)
+            sudo = "; only the gateway's own user may read its black box, or root: sudo"
+            raise ConfigError(f"{error}{sudo if isinstance(error.__cause__, PermissionError) else ''}") from error
 
-
-def _folder(settings: Settings) -> Path:
-    folder = rings.folder_to_read(settings)
-    if folder is None:
-        raise ConfigError(
-            "the black box is off: no gateway has kept one on this machine. `make run` and the installed service keep "
-            "one; for a gateway that you start yourself, type:\n"
-            f"mkdir -p ~/hexapod && HEXAPOD_STATE__PATH=$HOME/hexapod {this_command()} run --sim\n"
-            "and HEXAPOD_STATE__PATH=$HOME/hexapod before `incidents`"
-        )
-    return folder
-
-
-def _read(settings: Settings) -> Records:
-    """Return all records, none without a ring. Raises ConfigError if the black box is off or cannot be read."""
-    try:
-        return ring_reader.read(_folder(settings) / RING_FILE)
-    except ring_reader.NoRingError as error:
-        if isinstance(error.__cause__, FileNotFoundError):
-            return Records({}, written=False)
-        sudo = "; only the gateway's own user may read its black box, or root: sudo"
-        raise ConfigError(f"{error}{sudo if isinstance(error.__cause__, PermissionError) else ''}") from error
-
-
-def _one(settings: Settings, name: str) -> tuple[Incident, Records]:
-    """Return the incident with this id, the newest for `last`, and all records. Raises GatewayError."""
-    records = _read(settings)
-    incidents = find(records)
-    for found in reversed(incidents):
-        if name in (LAST, found.name):
-            return found, records
-    if not incidents:
-        raise GatewayError(f"there are no incidents in {_folder(settings)}")
-    raise GatewayError(f"there is no incident {name!r} in {_folder(settings)}: `incidents list` shows all")
+    def _one(self, name: str) -> tuple[Incident, Records]:
+        """Return the incident with this id, the newest for `last`, and all records. Raises GatewayError."""
+        records = self._read()
+        incidents = find(records)
+        for found in reversed(incidents):
+            if name in (LAST, found.name):
+                return found, records
+        if not incidents:
+            raise GatewayError(f"there are no incidents in {self._folder}")
+        raise GatewayError(f"there is no incident {name!r} in {self._folder}: `incidents list` shows all")

@@ -15,7 +15,7 @@ from gateway.model.protocols import SpiProtocol
 from gateway.people.commands.options import ConfigOption, ConnectOption, JsonOption, TimeoutOption, ZenohConfigOption
 
 if TYPE_CHECKING:
-    from gateway.robot.settings import Settings
+    from gateway.onboard.black_box import BlackBox
 
 check_app = typer.Typer()
 setup_app = typer.Typer(add_completion=False)
@@ -144,19 +144,18 @@ def _list_without_command(context: typer.Context, config: ConfigOption = None) -
     context.obj = config  # `incidents --config F show last`
 
 
-def _settings(context: typer.Context, config: Path | None) -> "Settings":
+def _black_box(context: typer.Context, config: Path | None) -> "BlackBox":
+    from gateway.onboard.black_box import BlackBox
     from gateway.robot import settings
 
     # Reading needs no framing, so none is required, as with a simulated controller.
-    return settings.load(config or context.obj, simulated=True)
+    return BlackBox(settings.load(config or context.obj, simulated=True))
 
 
 @incidents_app.command("list")
 def list_incidents(context: typer.Context, config: ConfigOption = None, as_json: JsonOption = False) -> None:
     """List the incidents, newest first."""
-    from gateway.onboard import black_box
-
-    black_box.list_all(_settings(context, config), as_json=as_json)
+    _black_box(context, config).list_all(as_json=as_json)
 
 
 @incidents_app.command()
@@ -164,9 +163,7 @@ def show(
     context: typer.Context, incident: IncidentArgument, config: ConfigOption = None, as_json: JsonOption = False
 ) -> None:
     """Explain what happened: commands, decisions and frames, with times relative to the stop."""
-    from gateway.onboard import black_box
-
-    black_box.show(_settings(context, config), incident, as_json=as_json)
+    _black_box(context, config).show(incident, as_json=as_json)
 
 
 @incidents_app.command()
@@ -177,9 +174,7 @@ def export(
     config: ConfigOption = None,
 ) -> None:
     """Write an incident as an MCAP file, for Foxglove, Lichtblick, Rerun or your own program."""
-    from gateway.onboard import black_box
-
-    black_box.export(_settings(context, config), incident, file)
+    _black_box(context, config).export(incident, file)
 
 
 @incidents_app.command()
@@ -199,8 +194,6 @@ def replay(
     as_json: JsonOption = False,
 ) -> None:
     """Decide an incident again: which rule led to which frames. Ends with 1 if other frames were written."""
-    from gateway.onboard import black_box
-
-    found = _settings(context, config)
-    if not black_box.replay(found, incident, until=until, changes=settings, file=as_test, as_json=as_json):
+    box = _black_box(context, config)
+    if not box.replay(incident, until=until, changes=settings, file=as_test, as_json=as_json):
         raise typer.Exit(1)

@@ -79,14 +79,13 @@ def client_config(endpoint: str | None, file: Path | None = None) -> zenoh.Confi
             clock = f"is this clock right? Then {certs.renewal('NAME')}"
             raise ConfigError(f"{first.file} expired on {first.end:%Y-%m-%d}: {clock}")
     config.insert_json5("mode", '"client"')
-    if endpoint is not None:
-        endpoint = endpoint if "/" in endpoint else f"tcp/{endpoint}"
-        try:
-            config.insert_json5("connect/endpoints", json.dumps([with_interface(endpoint)]))
-        except zenoh.ZError as error:
-            raise ConfigError(f'"{endpoint}" is no endpoint, such as {DEFAULT_ENDPOINT}') from error
-    else:
-        config.insert_json5("connect/endpoints", json.dumps([*map(with_interface, connect_endpoints(config))]))
+    if endpoint is not None and "/" not in endpoint:
+        endpoint = f"tcp/{endpoint}"
+    dialled = connect_endpoints(config) if endpoint is None else [endpoint]
+    try:
+        config.insert_json5("connect/endpoints", json.dumps([*map(with_interface, dialled)]))
+    except zenoh.ZError as error:
+        raise ConfigError(f'"{endpoint}" is no endpoint, such as {DEFAULT_ENDPOINT}') from error
     insert(config, "listen/endpoints", [], "listen")
     scouting_and_shared_memory_off(config)
     insert(config, "connect/retry", RETRY, "connect.retry")

@@ -14,7 +14,7 @@ import pytest
 from gateway.errors import ConfigError, GatewayError
 from gateway.model import black_box as form
 from gateway.model.black_box import RING_FILE
-from gateway.onboard import black_box
+from gateway.onboard.black_box import BlackBox
 from gateway.robot.blackbox import ring as rings
 from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.blackbox.ring import RecordRing
@@ -29,6 +29,10 @@ NAME = "20260921-141320-123-watchdog"
 
 def settings(folder: Path) -> Settings:
     return Settings.of({"state": {"path": str(folder)}})
+
+
+def box(folder: Path) -> BlackBox:
+    return BlackBox(settings(folder))
 
 
 @pytest.fixture
@@ -71,9 +75,9 @@ def test_a_black_box_that_this_user_may_not_read_is_not_reported_as_empty(mode: 
         folder.chmod(mode)
         os.seteuid(65534)  # to root no folder is closed
         try:
-            for call in (black_box.list_all, lambda found: black_box.show(found, "last")):
+            for call in (box(folder).list_all, partial(box(folder).show, "last")):
                 with pytest.raises(ConfigError, match=r"Permission denied.*sudo"):
-                    call(settings(folder))
+                    call()
         finally:
             os.seteuid(0)
 
@@ -90,23 +94,23 @@ def test_a_ring_that_somebody_else_has_made_is_not_shown(
     """In /dev/shm, where a link of ours leads: it could be there before the gateway begins one."""
     os.chown(folder / RING_FILE, 65534, -1, follow_symlinks=False)
     os.chown(ring_at, 65534, -1)
-    black_box.list_all(settings(folder))
+    box(folder).list_all()
     assert NAME in capsys.readouterr().out, "root reads the ring of the link's own user"
     spoil(ring_at)
     with pytest.raises(ConfigError, match="another user has made this file, or may write to it"):
-        black_box.list_all(settings(folder))
+        box(folder).list_all()
 
 
 def test_a_damaged_ring_is_not_taken_for_an_empty_one(folder: Path, ring_at: Path) -> None:
     ring_at.write_bytes(b"")
     with pytest.raises(ConfigError, match="it is empty: its gateway had no room for it"):
-        black_box.list_all(settings(folder))
+        box(folder).list_all()
     ring_at.write_bytes(bytes(100))
     with pytest.raises(ConfigError, match="it is no black box of this version"):
-        black_box.list_all(settings(folder))
+        box(folder).list_all()
     ring_at.unlink()
     with pytest.raises(GatewayError, match="no incidents in"):
-        black_box.show(settings(folder), "last")
+        box(folder).show("last")
 
 
 FORGED: list[tuple[int, bytes]] = [
@@ -130,9 +134,9 @@ def test_a_forged_record_ends_in_no_traceback(folder: Path, ring_at: Path, kind:
         ring.append(forged, 2**63 - 1, rest[:90])
         ring.close()
         for call in (
-            partial(black_box.list_all, settings(folder)),
-            partial(black_box.show, settings(folder), "last"),
-            partial(black_box.export, settings(folder), NAME, tmp_path / f"{count}.mcap"),
+            box(folder).list_all,
+            partial(box(folder).show, "last"),
+            partial(box(folder).export, NAME, tmp_path / f"{count}.mcap"),
         ):
             with suppress(GatewayError):
                 call()
@@ -153,7 +157,7 @@ def test_a_ring_file_of_another_user_is_not_used(
     ring.append(form.INCIDENT, 5, form.fields(WALL_NS, NAME))
     ring.close()
     assert rings.prepare(folder) == path, "the next run goes on with it"
-    black_box.list_all(settings(folder))
+    box(folder).list_all()
     assert NAME in capsys.readouterr().out
 
 
@@ -175,7 +179,7 @@ def test_a_ring_without_room_is_named_in_the_log(folder: Path, ring_at: Path, ca
         recorder.open(Ownership())
     assert f"the black box is off: {ring_at}: File too large" in caplog.text
     with pytest.raises(ConfigError, match="it is empty"):
-        black_box.list_all(settings(folder))
+        box(folder).list_all()
 
 
 @pytest.mark.usefixtures("ring_at")
@@ -183,9 +187,9 @@ def test_a_full_disk_keeps_no_half_of_an_export(folder: Path, tmp_path: Path) ->
     copy = tmp_path / "stop.mcap"
 
     with disk_that_takes(50), pytest.raises(ConfigError, match="File too large"):
-        black_box.export(settings(folder), NAME, copy)
+        box(folder).export(NAME, copy)
     assert not copy.exists()
     copy.write_text("mine")
     with pytest.raises(ConfigError, match="exists"):
-        black_box.export(settings(folder), NAME, copy)
+        box(folder).export(NAME, copy)
     assert copy.read_text() == "mine"

@@ -11,7 +11,7 @@ import pytest
 from gateway.files import durable
 from gateway.model import black_box as form
 from gateway.model.black_box import COPIED_SHARE, MOST_COPIES, RING_FILE, copies_of, copy_path
-from gateway.onboard import black_box
+from gateway.onboard.black_box import BlackBox
 from gateway.people.incidents import ring_reader as rec
 from gateway.people.incidents.find import find
 from gateway.rate_limit import NS_PER_S
@@ -84,7 +84,7 @@ async def test_a_flood_that_overwrites_the_whole_ring_leaves_what_precedes_the_i
     left_out = sum(int(each.detail.split()[0]) for each in contents(folder, rec.Noted) if each.what == "left_out")
     assert left_out > 1000, "and the ring says how much it lacks"
     first = find(rec.read(folder / RING_FILE))[0].name
-    black_box.show(Settings.of(settings), first)
+    BlackBox(Settings.of(settings)).show(first)
     story = capsys.readouterr().out
     assert "anna sent 11 commands for leg 3" in story
     assert "Stop written to all legs (estop)" in story
