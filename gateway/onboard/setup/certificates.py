@@ -36,7 +36,7 @@ def take(machine: Machine, source: Path, found: Configuration) -> Configuration:
                 say(f"keep {CONFIG}, which somebody has edited")
             elif (folder / name).is_file() and not machine.put(f"{FOLDER}/{name}", (folder / name).read_bytes()):
                 say(f"{FOLDER}/{name} is the same")
-        if (folder / "ca.key").exists() and source.is_dir():
+        if (folder / "ca.key").exists():
             say(f"{source} has ca.key, which can admit anybody: make sure another computer has it, and delete it here")
     stated = found.get("zenoh", "config")
     if stated == CONFIG:
