@@ -97,8 +97,8 @@ def write(machine: Machine, found: Configuration, changes: Mapping[str, str]) ->
         text = with_value(text, table, name, value)
     new = "made from the template, " if machine.read(FILE) is None else ""
     stated = " and ".join(f'{setting} = "{value}"' for setting, value in changes.items())
-    if changes or new:
-        machine.put(FILE, text.encode(), f"write {FILE}: {new}with {stated or 'its own values'}")
+    if changes:
+        machine.put(FILE, text.encode(), f"write {FILE}: {new}with {stated}")
     return Configuration(text, nesting.read_toml(text.encode()))
 
 
