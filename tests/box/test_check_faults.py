@@ -50,7 +50,7 @@ systemctl start $service
 
 
 class Line(NamedTuple):
-    """What `check` says of one thing that is not well."""
+    """A warning or failure of `check`."""
 
     sentence: str
     fix: str
@@ -67,7 +67,7 @@ class Robot:
         installed.box.write("/usr/local/bin/sudo", f'#!/bin/sh\n{own}\nexec "$@"\n')
         self.shell(f"chmod +x /usr/local/bin/sudo\n{PREPARE}")
         self.usual = set(self.check())
-        """What is not well in any box, such as its clock."""
+        """Lines that any box has, such as about its clock."""
 
     def shell(self, text: str) -> str:
         done = self.installed.box.run("bash", "-c", NAMES + text, timeout_s=200, check=False)
@@ -109,7 +109,7 @@ def robot(well: Robot, request: pytest.FixtureRequest) -> Iterator[Robot]:
 
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.what)
 def test_a_fault_is_named_and_its_remedy_helps(robot: Robot, fault: Fault) -> None:
-    """As a technician does: plant, check, run what stands behind the arrow, and check again."""
+    """Plant the fault, check, run what follows the arrow, and check again."""
     robot.shell(fault.plant)
     found = robot.new()
     named = [line for line in found if fault.says in f"{line.sentence} → {line.fix}"]

@@ -137,7 +137,7 @@ def test_upgrade_and_back(robot: Robot, packages: Packages) -> None:
 
 @pytest.mark.parametrize(("release", "change"), [("1.2.0", BROKEN), ("1.2.1", LATE)], ids=["trial", "systemd"])
 def test_a_release_that_does_not_start(robot: Robot, packages: Packages, release: str, change: str) -> None:
-    """In its trial nothing is changed; under systemd the service returns to the one before."""
+    """A failed trial changes nothing; under systemd the service returns to the release before."""
     process = robot.unit.property("MainPID")
     said = install(robot.box, packages.make(release, change), check=False)
     if change is BROKEN:
@@ -155,7 +155,7 @@ def test_a_release_that_does_not_start(robot: Robot, packages: Packages, release
 def test_an_upgrade_that_fails_its_trial_is_finished_by_the_command_that_is_printed(
     robot: Robot, packages: Packages
 ) -> None:
-    """Also if it is typed too early. `--back` leads to the release before the one that runs, and forward again."""
+    """It may be typed too early. `--back` leads to the release before the one that runs, and forward again."""
     box = robot.box
     install(box, packages.make("1.1.1"))
     robot.configure("watchdog.timeout_mz = 1\n")

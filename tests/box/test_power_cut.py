@@ -30,7 +30,7 @@ SLOW_WATCHDOG = "[Service]\nWatchdogSec=0\n"
 
 @pytest.fixture
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """In which disks can be cut; with a short name, since a socket's has 107 bytes at most.
+    """Yield a folder for disks that are cut. Its name is short, since a socket's has 107 bytes at most.
 
     XFS copies a whole file at one instant, also during a write: the copy contains each write, or lacks it.
     """
@@ -104,7 +104,7 @@ def comes_up(disk: Path, folder: Path, packages: Packages) -> str:
     ids=["two", "first half", "second half"],
 )
 def test_an_upgrade_is_cut_while_dpkg_unpacks(folder: Path, packages: Packages, shares: Sequence[float]) -> None:
-    """Nothing is left for the kernel to initialise on the disk in the background, as on a card in use."""
+    """The kernel initialises nothing in the background on the disk, as on a card in use."""
     disk, cuts = folder / "disk", list[Path]()
     options = "lazy_itable_init=0,lazy_journal_init=0"
     subprocess.run(["mkfs.ext4", "-q", "-E", options, str(disk), SIZE], check=True, capture_output=True)

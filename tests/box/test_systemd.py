@@ -39,7 +39,7 @@ def hold_for_a_moment(robot: InstalledGateway) -> None:
 
 @pytest.mark.parametrize("unit", [UNIT, UNIT.with_name("hexapod-console.service")], ids=lambda unit: unit.stem)
 def test_exposure(unit: Path) -> None:
-    """At most 2.0, as `systemd-analyze security` counts it."""
+    """`systemd-analyze security` counts at most 2.0."""
     command = ["systemd-analyze", "security", "--offline=true", "--no-pager", "--threshold=20", str(unit)]
     analysed = subprocess.run(command, capture_output=True, text=True, check=False)
     assert analysed.returncode == 0, analysed.stdout
@@ -121,7 +121,7 @@ with Client() as robot:
 
 @pytest.mark.nightly
 def test_the_service_is_killed_and_its_stops_are_counted(robot: InstalledGateway) -> None:
-    """By `check --stops`: Stops from outside and at the new start, and no motion."""
+    """`check --stops` kills it: Stops come from outside and at the new start, and nothing moves."""
     robot.unit.systemctl("start")
     robot.box.run(*PYTHON, CALIBRATE)
     before = robot.bed.transfers[-1].opening
@@ -223,7 +223,7 @@ def test_a_stuck_journal_holds_no_stop(robot: InstalledGateway) -> None:
 
 
 def test_stop_servos_beside_the_service(robot: InstalledGateway) -> None:
-    """By root and by somebody in the group spi, beside the sandboxed service: it takes its servos as stopped."""
+    """Root and a member of the group spi run it beside the service, which then counts its servos as stopped."""
     robot.unit.systemctl("start")
     for user in ((), ("setpriv", "--reuid=65534", "--regid=spi", "--clear-groups")):
         hold_for_a_moment(robot)
@@ -240,7 +240,7 @@ def test_stop_servos_beside_the_service(robot: InstalledGateway) -> None:
 def test_a_service_that_never_had_the_device_leaves_the_robot_of_a_gateway_in_a_terminal(
     robot: InstalledGateway,
 ) -> None:
-    """Each of its starts fails, and what systemd runs after it writes nothing; once the other is killed, Stops."""
+    """Each of its starts fails, and `stop-servos` then writes nothing; once the other gateway is killed, it does."""
     at = "tcp/127.0.0.1:7448"
     robot.box.write("/box-out/own.toml", f'spi.framing = "plain"\nzenoh.listen = ["{at}"]\n')
     path = {"PATH": "/usr/local/bin:/usr/bin"}
@@ -303,7 +303,7 @@ def test_no_framing(robot: InstalledGateway) -> None:
 
 
 def test_a_list_of_revoked_certificates_starts_it_anew_and_systemd_sees_no_end(robot: InstalledGateway) -> None:
-    """Over Zenoh, in the same process, and again; with its watchdog. All legs stop before."""
+    """The list comes over Zenoh. All legs stop, then the same process starts anew, also again, with its watchdog."""
     box, folder, own = robot.box, "/root/certs", "/etc/hexapod-gateway/zenoh"
     bert = ("--zenoh-config", f"{folder}/bert.json5")
     robot.gateway("certs", "init", "--dir", folder, "--host", "127.0.0.1")

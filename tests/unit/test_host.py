@@ -51,7 +51,7 @@ def test_a_share_is_at_most_its_buckets_end_or_the_worst(
 
 def test_a_latency_is_counted_once_though_two_threads_count() -> None:
     class ReadMeanwhile(deque[int]):
-        """New latencies that another thread asks for while they are counted."""
+        """New latencies. While they are counted, another thread asks for shares."""
 
         def popleft(self) -> int:
             if asks := not asked:
@@ -79,7 +79,7 @@ def test_a_servos_file_of_an_earlier_run_is_replaced(tmp_path: Path) -> None:
 
 
 def test_a_write_needs_no_room_in_a_folder_that_has_become_full(tmp_path: Path) -> None:
-    """Without a block, it would end the gateway by SIGBUS."""
+    """Without a block of its own, the write would end the gateway by SIGBUS."""
     ServosFile(tmp_path)
     assert (tmp_path / SERVOS_FILE).stat().st_blocks
 

@@ -89,7 +89,7 @@ STARTED: Final = "06020b015a00"
 
 @pytest.mark.parametrize("step", ENDS)
 def test_every_end_of_the_check_stops_all_legs(gateway: Gateway, step: str) -> None:
-    """Also whoever is impatient, and ends it twice."""
+    """Also if the person ends it twice."""
     with gateway.client() as client:
         heard = frames(client)
         with gateway.begin("check", "--stops", "--only", step, "--only", "stop-servos") as child:
@@ -143,7 +143,7 @@ def test_a_check_that_loses_the_lease_stops_all_legs(gateway: Gateway) -> None:
 def test_a_laptop_skips_the_step_that_kills_the_service(
     gateway: Gateway, monkeypatch: pytest.MonkeyPatch, shown: dict[str, str], says: str
 ) -> None:
-    """Also one that has a service of its own, which would die in the place of the robot's."""
+    """A laptop may have a service of its own, which would be killed instead of the robot's."""
     monkeypatch.setattr(stops, "shown", lambda _: shown)
     done = gateway.run("check", "--stops", "--yes", "--restart", "--only", "restart")
     assert done.returncode == 0, str(done)
@@ -156,7 +156,7 @@ def test_a_laptop_skips_the_step_that_kills_the_service(
 def test_a_stop_servos_that_fails_after_the_kill_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ended: str
 ) -> None:
-    """As systemd 252 shows it; the test is in the place of systemd, which starts the service again."""
+    """`shown` is what systemd 252 prints. The test starts the service again, as systemd does."""
     settings = {**FRAMES, "zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"]}}
     asked: list[tuple[str, ...]] = []
     with ExitStack() as stack:

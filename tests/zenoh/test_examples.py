@@ -108,7 +108,7 @@ def test_the_first_program_and_the_first_command_work_on_a_robot_that_starts_as_
 
 
 def test_a_gait_that_recovers(patient: Gateway) -> None:
-    """From an emergency stop, once a person has reset it; not from somebody's Stop."""
+    """It recovers from an emergency stop that a person has reset, and not from somebody's Stop."""
     arguments = ["--connect", patient.endpoint, "--seconds", "60"]
     with patient.client() as client:
         told, written = events(client), frames(client)
@@ -181,7 +181,7 @@ def test_a_recording_without_its_end_is_read_as_far_as_it_goes(tmp_path: Path) -
 
 
 def test_a_leg_that_runs_goes_slowly_to_the_first_pose() -> None:
-    """At most so many degrees in a setpoint; a leg at rest starts where the recording begins."""
+    """Each setpoint is a few degrees further; a leg at rest starts where the recording begins."""
     example = runpy.run_path(str(EXAMPLES / "replay.py"))
     way = list(example["eased"]({1: (0.0, 90.0, 90.0)}, {1: (90.0, 90.0, 90.0), 2: (10.0, 20.0, 30.0)}, 180))
     assert [each[1][0] for each in way] == pytest.approx([3.6 * step for step in range(1, 26)])
@@ -190,7 +190,6 @@ def test_a_leg_that_runs_goes_slowly_to_the_first_pose() -> None:
 
 
 def test_a_real_robot_is_moved_on_request_only(tmp_path: Path) -> None:
-    """Nothing else asks it."""
     example = runpy.run_path(str(EXAMPLES / "replay.py"))
 
     real = SimpleNamespace(state=lambda: SimpleNamespace(simulated=False))

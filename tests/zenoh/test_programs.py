@@ -53,7 +53,7 @@ def hold(*streams: Stream) -> None:
 
 
 def test_two_programs_of_one_name_are_told_apart(two: tuple[Client, Client]) -> None:
-    """Each is warned that another program of its name takes its leg, and states and events name both sessions."""
+    """Each is warned if another program of its name takes its leg. States and events name both sessions."""
     first, second = two
     happened = events(first)
     with first.stream(50, lease=False) as one, second.stream(50, lease=False) as other:

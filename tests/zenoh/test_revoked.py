@@ -236,7 +236,7 @@ def walking(client: Client) -> Iterator[None]:
 
 @pytest.mark.alone
 def test_revoked_in_mid_walk_and_everybody_else_is_back_within_three_seconds(robot: Robot) -> None:
-    """Nor does she cost anybody a Stop afterwards, when her laptop presses the emergency stop every 50 ms."""
+    """Afterwards her laptop stops nobody, although it presses the emergency stop every 50 ms."""
     stolen = lost(robot)
     with robot.start(HEXAPOD_WATCHDOG__TIMEOUT_MS="2000") as gateway, robot.laptop("bert") as bert:
         seen = states(bert)

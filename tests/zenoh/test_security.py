@@ -37,7 +37,7 @@ def secured(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Secured]:
 
 
 def test_an_observer_watches_and_commands_nothing(secured: Secured) -> None:
-    """And takes no wildcard, below which it could declare 20 000 keys, each to be compared with all others."""
+    """It may not declare a wildcard: it could declare 20 000 keys below, and each would be compared with all others."""
     wild: list[zenoh.Sample] = []
     with secured.client("anna") as anna, secured.client("otto") as otto, closing(secured.session("otto")) as session:
         declared = [session.declare_subscriber(key, wild.append) for key in ("hexapod/*", "hexapod/**", keys.RESET)]

@@ -91,7 +91,7 @@ def test_a_black_box_that_this_user_may_not_read_is_not_reported_as_empty(mode: 
 def test_a_ring_that_somebody_else_has_made_is_not_shown(
     folder: Path, ring_at: Path, capsys: pytest.CaptureFixture[str], spoil: Callable[[Path], None]
 ) -> None:
-    """In /dev/shm, where a link of ours leads: it could be there before the gateway begins one."""
+    """The ring is in /dev/shm, where somebody may have made it before the gateway does."""
     os.chown(folder / RING_FILE, 65534, -1, follow_symlinks=False)
     os.chown(ring_at, 65534, -1)
     box(folder).list_all()

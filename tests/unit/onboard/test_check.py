@@ -604,7 +604,7 @@ def test_what_is_planted_is_a_line(planted: Scene, tmp_path: Path, monkeypatch: 
 def test_each_fault_of_an_installation_is_one_line(
     plant: Plant, sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Besides what is so of this machine: its users, and a folder that a boot empties."""
+    """Lines about this machine are left out: its users, and a folder that a boot empties."""
     robot = Installed(tmp_path)
     plant(robot)
     monkeypatch.setattr(whole, "compare", lambda: robot.files)
@@ -662,7 +662,7 @@ def test_the_highest_currents_show_which_output_feeds_a_servo(moving: dict[str, 
 
 
 def test_who_has_a_file_or_port_is_named_with_its_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also one that has it on all addresses, and not one on another address or port."""
+    """A program that listens on all addresses is named, too; one on another address or port is not."""
     monkeypatch.setattr(os, "getpid", lambda: 0)  # or a process would leave itself out
     device, own = tmp_path / "device", int(os.readlink("/proc/self"))
     with device.open("w"), socket.create_server(("127.0.0.1", 0)) as one, socket.create_server(("", 0)) as every:

@@ -34,7 +34,7 @@ BUILT = {
 
 @pytest.mark.parametrize("version", BUILT)
 def test_the_build_date_of_a_kernel_is_read(tmp_path: Path, version: str) -> None:
-    """Not when its compiler was."""
+    """The date of its compiler is not taken for it."""
     MachineTree(tmp_path, version=version)
     assert str(computer.kernel(tmp_path)[1]) == BUILT[version]
 
@@ -68,7 +68,7 @@ def test_pauses_keep_starts_under_the_units_limit_and_crashes_reach_it() -> None
 
 @pytest.mark.parametrize("simulated", [False, True])
 def test_during_a_pause_a_real_robot_gets_stops(monkeypatch: pytest.MonkeyPatch, simulated: bool) -> None:
-    """Its device may return, and its servos may run since a bus fault before the start."""
+    """The device may return, and servos may run since a bus fault before the start."""
     stopped, pauses_s, used = list[Any](), list[float](), settings.Settings()
     monkeypatch.setattr("os.environ", {"NOTIFY_SOCKET": "@systemd", "WATCHDOG_USEC": "1000000"})
     monkeypatch.setattr(settings, "load", lambda *_, **__: used)

@@ -272,7 +272,7 @@ def test_setup_reports_why_the_service_does_not_start(computer: Computer) -> Non
 
 
 def test_setup_switches_on_and_frees_the_elkapods_uart(computer: Computer) -> None:
-    """Its UART is switched on, and freed of console and login."""
+    """On a Pi 5: by an overlay; console and login are removed from the UART."""
     computer.write(CONFIG_TXT, "dtparam=spi=on\n")
     computer.write("/proc/device-tree/model", "Raspberry Pi 5 Model B Rev 1.0\0")
     computer.write("/boot/firmware/cmdline.txt", "console=ttyAMA1,115200 console=tty1 root=PARTUUID=1\n")
@@ -287,7 +287,7 @@ def test_setup_switches_on_and_frees_the_elkapods_uart(computer: Computer) -> No
 
 
 def test_files_of_the_former_installer_are_removed(computer: Computer) -> None:
-    """Its units would go before the package's; without a package they are what runs."""
+    """Its units would hide the package's. Without a package they stay, since they run the robot."""
     unit = computer.write("/etc/systemd/system/hexapod-gateway.service", "")
     computer.write("/opt/hexapod-gateway/venv-1/bin/hexapod-gateway", "")
     computer.says(framing="plain")
@@ -367,7 +367,7 @@ def test_certificates_come_at_any_time(computer: Computer, people: Path, source:
 def test_certificates_of_another_authority_are_rejected_before_anything_changes(
     computer: Computer, people: Path, tmp_path_factory: pytest.TempPathFactory, files: dict[str, str] | str, fault: str
 ) -> None:
-    """What stands at each name: a file, or that of the same name in a folder."""
+    """`files` has the source of each name: a file, or a folder with a file of that name."""
     given = people / files if isinstance(files, str) else tmp_path_factory.mktemp("other")
     for name, source in files.items() if isinstance(files, dict) else ():
         found = people / source
@@ -399,7 +399,7 @@ def test_an_unedited_zenoh_file_gets_new_access_rules(computer: Computer, people
 def test_the_commands_that_certs_prints_for_a_robot_work(
     computer: Computer, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """By `init`, `issue` and `renew`: the files that it names, by its `setup` command."""
+    """`init`, `issue` and `renew` print what to copy, and the `setup` command for the robot."""
     folder = tmp_path / "made"
     computer.says(framing="plain")
     second: dict[str, Any] = {"directory": folder, "host": ["robot-2.local"], "bundle": Path("robot-2.zip")}

@@ -1,4 +1,4 @@
-"""With which settings `stop-servos` writes: those that the controller has understood, whatever a file says by now."""
+"""`stop-servos` writes with the settings that the controller understands, whatever a file has by now."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -130,7 +130,7 @@ def test_stop_servos_uses_the_settings_that_the_controller_understands(
 def test_only_another_gateways_robot_is_not_stopped_by_the_end_of_a_service_that_never_had_it(
     robot: Robot, monkeypatch: pytest.MonkeyPatch, state: str, status: str, held: bool | None, stops: bool
 ) -> None:
-    """In each doubt it stops: who holds the device, what the service did, whether systemd asks."""
+    """It stops in each doubt: about the device's holder, about what the service did, and if systemd did not ask."""
     robot.file.write_text(PLAIN)
     robot.device = str(robot.file)  # which can be opened
     robot.service(state)

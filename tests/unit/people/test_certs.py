@@ -78,7 +78,7 @@ def test_a_laptops_certificate_carries_role_and_name_and_cannot_serve(folder: Pa
 
 
 def test_a_consoles_certificate_only_serves(folder: Path) -> None:
-    """At most 825 days, or Apple's browsers reject it; no role on Zenoh; no client."""
+    """It is valid for at most 825 days, or Apple's browsers reject it. It has no role on Zenoh, and is no client's."""
     hosts = ["robot.local", "192.0.2.7", "robot.local", "2001:db8::7"]
     made = certs.folder.issue(folder, "web", "console", hosts=hosts, days=3000)
     assert {path.name for path in made} == {"web.pem", "web.key", "web-ca.pem", "web-ca.key"}
@@ -323,7 +323,7 @@ def test_rules_list_each_roles_common_names_but_for_revoked_ones(folder: Path) -
 
 @pytest.mark.virtual_time
 async def test_a_list_that_was_kept_counts_before_the_service_has_ended(folder: Path) -> None:
-    """Else an older one that comes meanwhile would take its place on the disk."""
+    """Otherwise an older list that comes meanwhile would replace it on the disk."""
     conductor = HarnessedRobot().conductor
     in_force = revocations.revocation_state(load_config(folder / "gateway.json5"), robot(folder))
     changes = revocations.Revocations(conductor, in_force, lambda: None)
