@@ -141,7 +141,7 @@ def _parse_host(text: str) -> str:
     address = _address(host)
     if address is not None and not address.is_unspecified and "%" not in host:  # a zone counts on this machine only
         return str(address)
-    if address is None and _HOST.fullmatch(host):
+    if _HOST.fullmatch(host):
         return host
     fix = "give what laptops dial, such as robot.local or 192.0.2.7 (no port, no tls/)"
     raise ConfigError(f"{text!r} is neither a host name nor an IP address: {fix}")

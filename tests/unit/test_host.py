@@ -325,6 +325,7 @@ def test_settings_of_an_ended_process_are_not_in_effect(folder: Path) -> None:
         found = effective.read()
         assert found is not None
         assert not found.runs
+        assert effective.running() is None
 
 
 @pytest.mark.parametrize(
@@ -336,6 +337,7 @@ def test_settings_of_an_ended_process_are_not_in_effect(folder: Path) -> None:
         b"[" * 5000,
         b'{"spi": 3}',
         b'{"spi": {"framing": "Plain"}}',
+        b'{"spi": {"speed_hz": 1000}}',
         b'{"spi": {"framing": "plain", "speed_hz": 0}}',
     ],
 )
