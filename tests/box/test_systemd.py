@@ -111,6 +111,11 @@ def test_what_the_black_box_shows(robot: InstalledGateway) -> None:
         assert f"-{kind}: " in story(list(read(found[kind])))[0]
 
 
+def restart_and_move(robot: InstalledGateway) -> None:
+    robot.unit.systemctl("restart")
+    assert "accepted" in robot.gateway(*MOVE_LEG_3)
+
+
 CALIBRATE = """
 from gateway.client import Client
 from schemas.calibration import ServoChange
@@ -137,11 +142,6 @@ def test_the_service_is_killed_and_its_stops_are_counted(robot: InstalledGateway
     robot.box.run("sh", "-c", f"rm /var/lib/{NAME}/calibration*")  # it is the service's own folder that keeps it
     assert '"revision": 1' in shown
     assert '"trim_deg": 5' in shown
-
-
-def restart_and_move(robot: InstalledGateway) -> None:
-    robot.unit.systemctl("restart")
-    assert "accepted" in robot.gateway(*MOVE_LEG_3)
 
 
 def test_a_gateway_that_hangs_is_ended_and_its_servos_are_stopped(robot: InstalledGateway) -> None:
