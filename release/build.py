@@ -21,7 +21,7 @@ ROOT = Path(__file__).parents[1]
 UV = str(Path(sys.executable).with_name("uv"))
 """The uv of the same environment."""
 _GIT = ["git", "-c", f"safe.directory={ROOT}", "-C", str(ROOT)]
-"""git in this repository, whoever owns it."""
+"""git in this repository, which may be another user's."""
 _VERSION = re.compile(r'^__version__ = "(.*)"$', re.MULTILINE)
 _SOURCES = ("pyproject.toml", "setup.py", "README.md", "LICENSE", "gateway", "schemas")
 
