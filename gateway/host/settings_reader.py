@@ -117,10 +117,8 @@ def _value(kind: Any, allowed: Allowed, value: Any, place: Place, faults: list[F
     elif of is Mapping and isinstance(value, Mapping):
         known = "an id is the leg (1 to 6) and the joint (1 to 3), such as 32"
         faults += [(place, f"{key_name(name)} is no servo; {known}") for name in value.keys() - SERVOS]
-        of_servos = {name: each for name, each in value.items() if name in SERVOS}
-        found = {
-            name: _value(get_args(kind)[1], allowed, each, (*place, name), faults) for name, each in of_servos.items()
-        }
+        each_kind = get_args(kind)[1]
+        found = {name: _value(each_kind, allowed, each, (*place, name), faults) for name, each in value.items()}
     elif wanted := _wanted(kind, allowed.limits, value):
         faults.append(_wrong(place, value, wanted))
         return None
