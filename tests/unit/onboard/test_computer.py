@@ -1,6 +1,7 @@
 """What Linux says of the computer and the SPI controller, and how often systemd begins the service again."""
 
 import re
+import struct
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -20,6 +21,14 @@ def test_without_a_device_tree_the_chip_select_is_unknown(tmp_path: Path) -> Non
     tree = MachineTree(tmp_path)
     (tree.bus.parents[1] / "of_node").unlink()
     assert computer.gpio_selects(SPIDEV, tmp_path) is None
+
+
+@pytest.mark.parametrize(("cells", "is_gpio"), [((7, 8, 1), True), ((0, 7, 7, 1), False), ((), False)])
+def test_a_chip_select_of_the_controller_itself_is_no_gpio(
+    cells: tuple[int, ...], is_gpio: bool, tmp_path: Path
+) -> None:
+    MachineTree(tmp_path, cs_gpios=struct.pack(f">{len(cells)}I", *cells))
+    assert computer.gpio_selects(SPIDEV, tmp_path) is is_gpio
 
 
 BUILT = {
