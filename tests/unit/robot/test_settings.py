@@ -58,6 +58,9 @@ FILE_FAULTS = [
     *((f'[telemetry]\nmetrics = "{text}"',
        'telemetry.metrics: write a host and a port, such as "127.0.0.1:9464", or "" for none')
       for text in ("9464", ":9464", "localhost:0", "localhost:65536", "localhost:٣")),
+    ("[power]\nservos = [11, 11]",
+     "power.servos: write all 18 servos, each once, in the order of the board's outputs, or [] for 11 to 63"),
+    ('[buttons]\nnames = [""]', "buttons.names: write at most 64 names, each of 1 to 64 characters"),
     ("[safety]\nmax_tilt_deg = 45", "safety.max_tilt_deg: hexapod-1.0 has nothing that measures it; leave it at 0"),
     ('[wire]\nname = "elkapod-2025"\n[limits]\nstart_stagger_ms = 1',
      "limits.start_stagger_ms: elkapod-2025 starts all servos at once, so leave it at 0"),
