@@ -17,12 +17,6 @@ from tests.support.machine_tree import OF_MAY, PI_4, MachineTree
 SPIDEV = "/dev/spidev0.0"
 
 
-def test_without_a_device_tree_the_chip_select_is_unknown(tmp_path: Path) -> None:
-    tree = MachineTree(tmp_path)
-    (tree.bus.parents[1] / "of_node").unlink()
-    assert computer.gpio_selects(SPIDEV, tmp_path) is None
-
-
 @pytest.mark.parametrize(("cells", "is_gpio"), [((7, 8, 1), True), ((0, 7, 7, 1), False), ((), False)])
 def test_a_chip_select_of_the_controller_itself_is_no_gpio(
     cells: tuple[int, ...], is_gpio: bool, tmp_path: Path
