@@ -82,12 +82,10 @@ class Transfer:
 
 @dataclass(frozen=True)
 class Setting:
-    """One ioctl that sets something up; `errno` as in `Transfer`."""
+    """One ioctl that sets something up."""
 
-    monotonic_ns: int
     kind: Literal["mode", "bits", "speed", "lsb_first"]
     value: int
-    errno: int
     opening: int
     """The number of the program's opening of the device, from 1."""
 

@@ -130,7 +130,7 @@ class SpiController:
             self._read_setting(client, argument, number, size)
         else:
             value = int.from_bytes(bytes(argument.retrieve()), sys.byteorder)
-            self._write_setting(now_ns, client, number, value)
+            self._write_setting(client, number, value)
         return True
 
     def _message(self, now_ns: int, client: Any, argument: Any, size: int) -> None:
@@ -217,7 +217,7 @@ class SpiController:
             argument.update(0, values[SETTINGS[number]].to_bytes(size, sys.byteorder))
         _answer(client, 0, errno.ESHUTDOWN if gone else 0)
 
-    def _write_setting(self, now_ns: int, client: Any, number: int, value: int) -> None:
+    def _write_setting(self, client: Any, number: int, value: int) -> None:
         kind, code = SETTINGS[number], 0
         with self._lock:
             opening = self._opening(client)
@@ -231,8 +231,7 @@ class SpiController:
                 self._speed_hz = value
             elif kind != "lsb_first" or value:
                 code = errno.EINVAL
-            about = {"is": "Setting", "monotonic_ns": now_ns, "kind": kind}
-            self._emit({**about, "value": value, "errno": code, "opening": opening})
+            self._emit({"is": "Setting", "kind": kind, "value": value, "opening": opening})
         _answer(client, 0, code)
 
 

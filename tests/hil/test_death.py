@@ -23,7 +23,7 @@ from schemas.robot import LEGS
 from schemas.words import Cause
 from tests.benchmarks.processes import publishing
 from tests.hil.bed import SpiTestbed, Transfer
-from tests.hil.wire import EACH_FRAMING, STOPS, Replay, Wire, moving, opening_of, settings_for
+from tests.hil.wire import EACH_FRAMING, STOPS, Replay, Wire, ended, moving, opening_of, settings_for
 from tests.support.controllers import on_wire
 from tests.support.gateway_process import COMMAND, dialling, free_port, write_settings
 
@@ -36,9 +36,7 @@ ROUNDS = 4  # of stop-servos: one, and three repeats
 def stop_servos(bed: SpiTestbed, config: Path) -> list[Transfer]:
     """Run it to its end, and return what it wrote. Others' writes may be reported only now, as other openings."""
     earlier = newest_opening(bed)
-    child = bed.spawn([*COMMAND, "stop-servos", "--config", str(config)])
-    assert child.wait(60) == 0, str(child)
-    child.close()
+    ended(bed, "stop-servos", config)
     bed.heal()  # whose answer comes behind all reports
     return [each for each in bed.transfers if each.opening > earlier]
 

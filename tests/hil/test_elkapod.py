@@ -21,11 +21,11 @@ from gateway.model.elkapod import SHUTDOWN, START
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.words import Kind
 from tests.hil.bed import SpiTestbed, Transfer
-from tests.hil.wire import LATE_S
+from tests.hil.wire import LATE_S, ended
 from tests.support.controllers import Elkapod
 from tests.support.elkapod import angles_of
 from tests.support.fixtures import client_fixture
-from tests.support.gateway_process import COMMAND, Gateway
+from tests.support.gateway_process import Gateway
 from tests.support.heard import events, servos_on, states
 from tests.support.waiting import wait_until
 
@@ -148,11 +148,9 @@ def test_stop_servos_needs_no_gateway_and_is_noticed_by_one(
 ) -> None:
     heard = events(client)
     start_all(robot, client)
-    command = [*COMMAND, "stop-servos", "--config", str(gateway.config)]
     for count in range(2):
         since_ns = time.monotonic_ns()
-        child = robot.spawn(command)
-        assert child.wait(LATE_S) == 0, str(child)
+        ended(robot, "stop-servos", gateway.config)
         robot.wait_until_said("shutdown", since_ns, ROUNDS)
         assert "start" not in robot.said_since(since_ns)
         assert robot.controller.energised == frozenset()

@@ -1,8 +1,6 @@
-"""On the emulated device: what a list of transfers sends, and what `check` says of the driver and disturbs."""
+"""On the emulated device: what `check` states of the driver and disturbs, with each spidev and with none."""
 
-import json
 import os
-import sys
 from pathlib import Path
 
 import pytest
@@ -11,25 +9,11 @@ from gateway.model.frames import OneServo, Op, ServoOp
 from gateway.onboard.computer import SELECT_BY_GPIO
 from gateway.robot.spi.kernel import NO_SPIDEV
 from tests.hil.bed import DEVICE, SpiTestbed
-from tests.hil.wire import LATE_S, STOPS, Replay, Wire, settings_for
+from tests.hil.wire import LATE_S, STOPS, Replay, Wire, ended, settings_for
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway
 
 pytestmark = pytest.mark.hil
-
-
-WRITER = """
-import json, sys
-from gateway.robot.spi.kernel import KernelDevice
-device = KernelDevice("/dev/spidev0.0", 2_500_000, exclusive=False)
-for line in sys.stdin:
-    count, batch = json.loads(line)
-    for _ in range(count):
-        device.transfer([(bytes.fromhex(data), pause_us) for data, pause_us in batch])
-    print("written", flush=True)
-"""
-FRAME = [["0e", 50], ["0e010b0200000c0200000d020000", 50]]
-ZEROS = [["00", 100]] * 4
 
 
 def test_check_move_shows_that_a_driver_ignores_cs_change_and_what_to_do(
@@ -56,23 +40,6 @@ def test_check_move_shows_that_a_driver_ignores_cs_change_and_what_to_do(
         assert OneServo(61, ServoOp(Op.STOP)).data in [each.data for each in spi_testbed.transfers if each.delivered]
 
 
-def test_of_two_writers_none_comes_into_the_other_s_batch(spi_testbed: SpiTestbed) -> None:
-    children = [spi_testbed.spawn([sys.executable, "-c", WRITER]) for _ in range(2)]
-    for child in children:
-        assert child.ask(json.dumps([1, FRAME])) == "written\n", "it has started"
-    begun = len(spi_testbed.transfers)
-    for child, batch in zip(children, (ZEROS, FRAME), strict=True):
-        child.tell(json.dumps([100, batch]))
-    transfers = spi_testbed.wait_for_count(begun + 600, timeout_s=30)[begun:]
-    written = [each.data.hex() for each in transfers]
-    while written:
-        expected = [str(data) for data, _ in (ZEROS if written[0] == "00" else FRAME)]
-        assert written[: len(expected)] == expected
-        written = written[len(expected) :]
-    order = [each.opening for each in transfers]
-    assert order != sorted(order), "they did take turns"
-
-
 @pytest.fixture(
     params=["", 'raise ImportError("built for another processor")', "class SpiDev: pass"], ids=["spidev", "none", "3.6"]
 )
@@ -84,12 +51,6 @@ def env(tmp_path: Path, request: pytest.FixtureRequest) -> dict[str, str]:
     folder.mkdir()
     (folder / "spidev.py").write_text(f"{request.param}\n")
     return {"PYTHONPATH": os.pathsep.join([str(folder), *filter(None, [os.environ.get("PYTHONPATH")])])}
-
-
-def ended(bed: SpiTestbed, command: str, config: Path, env: dict[str, str]) -> Child:
-    child = bed.spawn([*COMMAND, command, "--config", str(config)], env=env)
-    assert child.wait(LATE_S) == 0, str(child)
-    return child
 
 
 def line(child: Child, name: str) -> str:
@@ -111,9 +72,8 @@ def test_run_stop_servos_and_check_with_each_spidev_and_with_none(
         assert line(beside, "port").startswith("ok")
         assert "is in use by the running gateway" in line(beside, "port")
         assert spi_testbed.settings == settings
-        written = wire.skip()  # the gateway writes its Stops again a second later
-        assert {each.opening for each in written} <= {opening[-1].opening}
-        assert {each.data for each in written} <= {each.data for each in opening}
+        wire.expect_nothing()
+        assert {each.opening for each in wire.skip()} <= {opening[-1].opening}, "repeats of the gateway's Stops"
         ended(spi_testbed, "stop-servos", gateway.config, env)
         wire.expect_opening(*STOPS)
         gateway.child.terminate()

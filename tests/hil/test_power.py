@@ -14,6 +14,7 @@ from typing import Final
 import pytest
 
 from gateway.people.client.blocking import Client
+from schemas.gateway_state import PowerReport
 from schemas.keys import servo_command
 from schemas.robot import SERVO_IDS
 from schemas.words import Kind, Mode, Reason
@@ -64,6 +65,12 @@ def leg_3_runs(client: Client, wire: Wire, board: RecordedBoard) -> None:
     assert client.start_leg(3, 90, 45, 120).accepted
     wire.expect(START_3)
     board.next("fed", LEG_3)
+
+
+def power_of(client: Client) -> PowerReport:
+    found = client.state().power
+    assert found is not None
+    return found
 
 
 def supply_goes(board: RecordedBoard) -> None:
@@ -146,9 +153,7 @@ def test_a_line_that_is_cut_is_reported_and_what_runs_is_stopped(
     board.child.kill()
     heard.wait(lambda event: event.kind is Kind.POWER_UNCONFIRMED)
     wire.expect(*STOPS)
-    power = client.state().power
-    assert power is not None
-    assert not power.alive
+    assert not power_of(client).alive
     assert client.start_leg(3, 90, 45, 120, check=False).reason is Reason.NO_POWER
 
 
@@ -210,9 +215,8 @@ def test_an_adapter_that_opens_and_is_mute_lets_nothing_start_and_holds_up_no_st
         stop = client.estop()
         assert (stop.accepted, stop.confirmed, stop.stop_frames) == (True, False, 6)
         wire.expect(*STOPS)
-        power_report = client.state().power
-        assert power_report is not None
-        assert (power_report.alive, power_report.confirmed, power_report.age_ms) == (False, False, None)
+        found = power_of(client)
+        assert (found.alive, found.confirmed, found.age_ms) == (False, False, None)
     os.close(ours)
     os.close(theirs)
 
@@ -234,8 +238,6 @@ def test_stop_servos_on_the_same_adapter_takes_the_supply_until_a_reset(
     assert [each.mask for each in board.noted[begun:] if each.what == "fed"] == [0], "cut once, never fed again"
     assert client.reset().accepted
     states(client).wait(answers_steadily())
-    power = client.state().power
-    assert power is not None
-    assert power.alive
+    assert power_of(client).alive
     retries = (client.start_leg(3, 90, 45, 120, check=False).accepted for _ in range(100))
     assert any(retries), "the reset reaches the rule of the supply within a tenth of a second"

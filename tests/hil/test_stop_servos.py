@@ -9,9 +9,9 @@ import pytest
 
 from schemas.robot import LEGS
 from schemas.words import Kind, Reason
-from tests.hil.wire import LATE_S, STOPS, Replay, Wire, settings_for
+from tests.hil.wire import LATE_S, STOPS, Replay, Wire, ended, settings_for
 from tests.support.command import run_here
-from tests.support.gateway_process import COMMAND, Gateway, write_settings
+from tests.support.gateway_process import Gateway, write_settings
 from tests.support.heard import events, servos_on
 
 pytestmark = pytest.mark.hil
@@ -39,8 +39,7 @@ def test_whoever_starts_legs_meanwhile_the_state_is_what_the_controller_does(
             with ThreadPoolExecutor(1) as pool:
                 starter = pool.submit(start_until_known, count)
                 config = write_settings(tmp_path / "stop.toml", settings_for(wire))
-                child = wire.bed.spawn([*COMMAND, "stop-servos", "--config", str(config)])
-                assert child.wait(LATE_S) == 0, str(child)
+                ended(wire.bed, "stop-servos", config)
                 starter.result(LATE_S)
             replay = Replay(wire.framing).play(wire.bed.transfers)
             assert replay.energised_for_good() == servos_on(client.state())
@@ -63,17 +62,14 @@ def test_stops_come_in_the_framing_that_the_controller_understands(
     quiet: dict[str, dict[str, Any]] = {"spi": {"framing": "plain"}, "state": {"path": str(tmp_path / "box")}}
     with Gateway(tmp_path, quiet, bed=wire.bed, env=SERVICE) as gateway:
         wire.expect_opening(*STOPS)
-        stop = (*COMMAND, "stop-servos", "--config", str(gateway.config))
-        by_hand = wire.bed.spawn(stop)
-        assert by_hand.wait(LATE_S) == 0, str(by_hand)
+        by_hand = ended(wire.bed, "stop-servos", gateway.config)
         assert "The running gateway counts all servos as stopped" in by_hand.stdout
         assert 'has spi.framing = "plain", and the service uses "length-prefixed"; used the latter' in by_hand.stderr
         gateway.child.send_signal(signal.SIGKILL)
         gateway.child.wait(LATE_S)
         gateway.config.unlink()
         wire.skip()
-        after = wire.bed.spawn(stop, env={"INVOCATION_ID": SERVICE["INVOCATION_ID"]})
-        assert after.wait(LATE_S) == 0, str(after)
+        after = ended(wire.bed, "stop-servos", gateway.config, {"INVOCATION_ID": SERVICE["INVOCATION_ID"]})
         assert after.stderr == ""
     with Gateway(tmp_path, quiet, bed=wire.bed, env=SERVICE) as again:
         story = run_here("incidents", "show", "last", "--config", str(again.config)).stdout

@@ -1,6 +1,6 @@
 """What a test expects on the emulated wire, in the gateway's framing, and what a controller makes of it."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
 
@@ -9,8 +9,9 @@ import pytest
 from gateway.model.frames import STOP, STOP_REPEATS, ZERO, Framing, OneLeg, OneServo, Op, ServoOp, decode, stop_leg
 from schemas.robot import LEGS, SERVO_IDS
 from tests.hil.bed import SpiTestbed, Transfer
+from tests.support.child import Child
 from tests.support.controllers import Controller, on_wire, preamble_of
-from tests.support.gateway_process import Gateway
+from tests.support.gateway_process import COMMAND, Gateway
 
 STOPS = [stop_leg(leg).data.hex() for leg in LEGS]
 """Stops for all six legs, as every start, end and emergency stop writes them."""
@@ -133,6 +134,13 @@ class Wire:
 def settings_for(wire: Wire, **sections: dict[str, Any]) -> dict[str, dict[str, Any]]:
     spi = {"framing": wire.framing, **sections.pop("spi", {})}
     return {"watchdog": QUIET, **sections, "spi": spi}
+
+
+def ended(bed: SpiTestbed, command: str, config: Path, env: Mapping[str, str] | None = None) -> Child:
+    """Run one of our commands on the device, to its end: a success."""
+    child = bed.spawn([*COMMAND, command, "--config", str(config)], env=env)
+    assert child.wait(LATE_S) == 0, str(child)
+    return child
 
 
 def start(folder: Path, wire: Wire, **sections: dict[str, Any]) -> Gateway:

@@ -1,12 +1,13 @@
 """A command of ours in this process: what it prints and its exit code, without the second of a new Python.
 
-What signals, terminals or the end of a process have a part in is run by `Child`.
+What signals, terminals or the end of a process have a part in is run by `Child`; another program by `run_program`.
 """
 
 import contextlib
 import io
 import shlex
 import signal
+import subprocess
 import sys
 from collections.abc import Iterator
 from functools import cache
@@ -58,6 +59,13 @@ def _at_most(timeout_s: float) -> Iterator[None]:
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
         signal.signal(signal.SIGALRM, before)
+
+
+def run_program(*command: str | Path, code: int = 0, **options: Any) -> subprocess.CompletedProcess[str]:
+    """Run a program until its end. Raises AssertionError with its output if its exit status is not `code`."""
+    done = subprocess.run(command, capture_output=True, text=True, check=False, **options)
+    assert done.returncode == code, f"{done.args} ended with {done.returncode}:\n{done.stdout}{done.stderr}"
+    return done
 
 
 @cache

@@ -1,7 +1,6 @@
 """What README, CONTRIBUTING and docs/ name exists: files, tests, links, headings; and the docs site is whole."""
 
 import re
-import subprocess
 import sys
 from pathlib import Path
 from typing import Final
@@ -9,6 +8,7 @@ from typing import Final
 import pytest
 
 import gateway.client
+from tests.support.command import run_program
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md")), *ROOT.glob("*/README.md")]
@@ -87,44 +87,30 @@ PROGRAMS: Final = {"AsyncClient.lease", "AsyncWalk.go", "Ack.or_raise", "Stream.
 
 
 @pytest.fixture(scope="module")
-def shown() -> set[str]:
-    built = subprocess.run(
-        [sys.executable, "-m", "zensical", "build", "--strict", "--clean", "--config-file", "mkdocs.yml"],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert built.returncode == 0, built.stdout + built.stderr
-    page = (SITE / "api" / "client.html").read_text(encoding="utf-8")
-    return {name.removeprefix("gateway.client.") for name in re.findall(r'<h\d id="([\w.]+)"', page)}
+def client_page() -> str:
+    """Build the site, and return its page of `gateway.client`."""
+    build = ("zensical", "build", "--strict", "--clean", "--config-file", "mkdocs.yml")
+    run_program(sys.executable, "-m", *build, cwd=ROOT)
+    return (SITE / "api" / "client.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.full
-def test_what_methods_return_is_exported_and_shown(shown: set[str]) -> None:
-    assert set(gateway.client.__all__) <= shown
-    assert shown >= RETURNED
-
-
-@pytest.mark.full
-def test_methods_of_our_own_are_not_shown_and_those_of_programs_are(shown: set[str]) -> None:
+def test_the_site_shows_what_programs_use_and_nothing_of_our_own(client_page: str) -> None:
+    shown = {name.removeprefix("gateway.client.") for name in re.findall(r'<h\d id="([\w.]+)"', client_page)}
+    assert shown >= {*gateway.client.__all__} | RETURNED | PROGRAMS
     assert not OURS & shown
-    assert shown >= PROGRAMS
     assert not {name for name in shown if name.endswith("exit_code")}
 
 
 @pytest.mark.full
-@pytest.mark.usefixtures("shown")
-def test_methods_made_at_import_have_their_signature_and_are_async() -> None:
-    page = (SITE / "api" / "client.html").read_text(encoding="utf-8")
-    _, _, method = page.partition('id="gateway.client.AsyncWalk.go"')
-    shown, _, _ = method.partition("<h")
+def test_methods_made_at_import_have_their_signature_and_are_async(client_page: str) -> None:
+    shown, _, _ = client_page.partition('id="gateway.client.AsyncWalk.go"')[2].partition("<h")
     assert "doc-label-async" in shown
     assert "forward_m_s" in shown
 
 
 @pytest.mark.full
-@pytest.mark.usefixtures("shown")
+@pytest.mark.usefixtures("client_page")
 def test_each_page_is_in_the_menu_and_in_the_search() -> None:
     pages = {path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*.md")}
     menu = re.findall(r": (\S+\.md)$", (ROOT / "mkdocs.yml").read_text(encoding="utf-8"), re.MULTILINE)

@@ -43,19 +43,6 @@ def test_tables_are_those_of_the_code(capsys: pytest.CaptureFixture[str]) -> Non
     assert interface_page.main(["--check"]) == 0, capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    "row",
-    [
-        '| `op` | `"start"` or `"set"` or `"stop"` | energise and set, set, or de-energise |',
-        "| `to` | 1 to 64 characters? | with `release`: the next holder, one that asked |",
-        "| `legs.age_ms` | 6 × number? | since an accepted start or set; null: none |",
-        "| `servo_silent` | a running servo draws nothing for 1 s | |",
-    ],
-)
-def test_a_row_states_type_limits_and_meaning(row: str) -> None:
-    assert row in INTERFACE.splitlines()
-
-
 def test_a_field_without_a_description_has_no_row(monkeypatch: pytest.MonkeyPatch) -> None:
     document = {"properties": {"angle_deg": {"type": "number"}}, "additionalProperties": False}
     monkeypatch.setattr(messages, "documents", lambda: {"Command.json": json.dumps(document)})

@@ -19,11 +19,6 @@ def test_a_limit_lets_all_of_a_request_through_or_nothing() -> None:
     assert allowance.take(0, 3)
 
 
-def test_once_in_ten_seconds() -> None:
-    allowance = RateLimit(1 / 10, 1)
-    assert [s for s in range(25) if allowance.take(s * NS_PER_S)] == [0, 10, 20]
-
-
 @given(
     st.fractions(Fraction(1, 10), 10_000),
     st.integers(1, 50),

@@ -1,6 +1,5 @@
 """What is released, and which tests run when."""
 
-import hashlib
 import io
 import os
 import re
@@ -11,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from release.build import ROOT, plain
-from release.documents import SUMS, write_sums
 from tests.support import lacks, schedule
 
 OFFERED = re.compile(r"^([A-Za-z0-9_.-]+)")
@@ -29,14 +27,6 @@ def test_the_lock_has_every_dependency_with_its_hashes() -> None:
         files = [*locked[name].get("wheels", []), *([locked[name]["sdist"]] if "sdist" in locked[name] else [])]
         assert files
         assert all(re.fullmatch("sha256:[0-9a-f]{64}", each["hash"]) for each in files), name
-
-
-def test_sums_are_as_sha256sum_reads_them(tmp_path: Path) -> None:
-    for name, data in (("b", b"1"), ("a", b"")):
-        (tmp_path / name).write_bytes(data)
-    write_sums(tmp_path, [tmp_path / "b", tmp_path / "a"])
-    lines = [f"{hashlib.sha256(data).hexdigest()}  {name}\n" for name, data in (("a", b""), ("b", b"1"))]
-    assert (tmp_path / SUMS).read_text() == "".join(lines)
 
 
 def test_an_archive_says_nothing_of_the_machine(tmp_path: Path) -> None:

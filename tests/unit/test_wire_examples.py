@@ -1,21 +1,19 @@
 """Examples of plug-ins: PCA9685 boards on an emulated bus, Freenove's kit behind it, and a Pololu Maestro."""
 
 import errno
-import importlib
-import importlib.util
 import math
 import os
 import pty
+import runpy
 import sys
 import threading
 import tomllib
 import tty
 from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, suppress
 from pathlib import Path
-from types import ModuleType
+from types import SimpleNamespace
 from typing import Any, Final
-from unittest.mock import patch
 
 import pytest
 
@@ -111,19 +109,12 @@ class I2cBus:
         return board
 
 
-@contextmanager
-def in_place_of_smbus2(bus: I2cBus) -> Iterator[None]:
-    """Serve the example's `from smbus2 import SMBus`."""
-    module = ModuleType("smbus2")
-    module.SMBus = bus.smbus  # type: ignore[attr-defined]
-    with patch.dict(sys.modules, {"smbus2": module}):
-        yield
-
-
 EXAMPLES = Path(__file__).parents[2] / "examples"
 KIT = EXAMPLES / "freenove"
 OPTIONS: dict[str, Any] = tomllib.loads((KIT / "gateway.toml").read_text())["wire"]
+assert OPTIONS.pop("name") == "pca9685"
 LEFT, RIGHT = 0x40, 0x41
+MAESTRO: dict[str, object] = {"path": "/dev/ttyACM0"}
 
 
 @pytest.fixture
@@ -131,20 +122,23 @@ def bus() -> I2cBus:
     return I2cBus(LEFT, RIGHT)
 
 
+def example(name: str, kind: str) -> Any:
+    """Return an example's class of a wire."""
+    return runpy.run_path(str(EXAMPLES / name / f"{name}.py"))[kind]
+
+
 @pytest.fixture
-def kind(bus: I2cBus, monkeypatch: pytest.MonkeyPatch) -> Iterator[type[ServoWire]]:
-    monkeypatch.syspath_prepend(str(EXAMPLES / "wire_pca9685"))
-    with in_place_of_smbus2(bus):
-        sys.modules.pop("wire_pca9685", None)
-        yield importlib.import_module("wire_pca9685").Pca9685
-    sys.modules.pop("wire_pca9685", None)
+def kind(bus: I2cBus, monkeypatch: pytest.MonkeyPatch) -> type[ServoWire]:
+    smbus2: Any = SimpleNamespace(SMBus=bus.smbus)
+    monkeypatch.setitem(sys.modules, "smbus2", smbus2)
+    found: type[ServoWire] = example("wire_pca9685", "Pca9685")
+    return found
 
 
 @pytest.fixture
 def wire(kind: type[ServoWire], monkeypatch: pytest.MonkeyPatch) -> WireSettings:
     monkeypatch.setattr(settings_table, "load_plugin", lambda _name, options: kind(options))
-    options = {name: value for name, value in OPTIONS.items() if name != "name"}
-    return WireSettings(OPTIONS["name"], options)
+    return WireSettings("pca9685", OPTIONS)
 
 
 def pulses(bus: I2cBus) -> dict[int, float | None]:
@@ -198,28 +192,17 @@ def test_a_board_that_lost_its_supply_is_a_fault(bus: I2cBus, wire: WireSettings
     assert "board 0x41 was reset" in str(report.fault)
 
 
-def test_the_example_keeps_the_contract_of_a_wire(
-    wire: WireSettings, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def check_contract(file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(conformance, "_HOLD_S", 0)
     monkeypatch.setattr(conformance, "_LATE_MS", 10_000.0)  # this machine's load is not the wire's
-    assert wire.plugin
-    assert conformance.conformance(KIT / "gateway.toml", agreed=True, unplug=False) == 0, capsys.readouterr().out
+    assert conformance.conformance(file, agreed=True, unplug=False) == 0, capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("change", "sentence"),
-    [
-        ({"speed": 1}, "speed is no option of pca9685"),
-        ({"pulse_us": [500, 3000]}, "pulses are 300 to 2700"),
-        ({"servos": {**OPTIONS["servos"], "11": [0x20, 0]}}, r"servos\.11: a board is 0x40"),
-        ({"servos": {**OPTIONS["servos"], "11": OPTIONS["servos"]["12"]}}, "two servos are on one channel"),
-    ],
-)
-def test_wrong_options_are_a_sentence(kind: type[ServoWire], change: dict[str, object], sentence: str) -> None:
-    options = {name: value for name, value in OPTIONS.items() if name != "name"} | change
-    with pytest.raises(ValueError, match=sentence):
-        kind(options)
+@pytest.mark.usefixtures("wire")
+def test_the_pca9685_keeps_the_contract_of_a_wire(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    check_contract(KIT / "gateway.toml", monkeypatch, capsys)
 
 
 # ---- the kit
@@ -250,7 +233,7 @@ def test_the_geometry_sends_what_the_kits_own_software_would(leg: int, foot_mm: 
     assert found == pytest.approx(kits_own_deg(leg, *foot_mm), abs=0.1)
 
 
-FILE = Path(__file__).parents[2] / "examples" / "wire_maestro" / "wire_maestro.py"
+# ---- the Maestro
 
 
 class Maestro(Closing):
@@ -284,14 +267,9 @@ def board() -> Iterator[Maestro]:
         yield running
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def maestro_kind() -> Any:
-    spec = importlib.util.spec_from_file_location("wire_maestro", FILE)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module.Maestro
+    return example("wire_maestro", "Maestro")
 
 
 def test_angles_are_quarters_of_a_microsecond_and_a_stop_is_0(board: Maestro, maestro_kind: type[ServoWire]) -> None:
@@ -329,25 +307,27 @@ def test_the_maestro_keeps_the_contract_of_a_wire(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(conformance, "_HOLD_S", 0)
-    monkeypatch.setattr(conformance, "_LATE_MS", 10_000.0)  # this machine's load is not the wire's
     monkeypatch.setattr(settings_table, "load_plugin", lambda _name, options: maestro_kind(options))
     file = tmp_path / "gateway.toml"
     file.write_text(f'[wire]\nname = "maestro"\npath = "{board.path}"')
-    assert conformance.conformance(file, agreed=True, unplug=False) == 0, capsys.readouterr().out
+    check_contract(file, monkeypatch, capsys)
 
 
 @pytest.mark.parametrize(
-    ("change", "sentence"),
+    ("given", "change", "sentence"),
     [
-        ({"speed": 1}, "speed is not an option"),
-        ({"path": 5}, "path: write the port"),
-        ({"channels": [0] * 18}, "18 different whole numbers"),
-        ({"pulse_us": [500, 3000]}, "300 to 2700"),
+        (OPTIONS, {"speed": 1}, "speed is no option of pca9685"),
+        (OPTIONS, {"pulse_us": [500, 3000]}, "pulses are 300 to 2700"),
+        (OPTIONS, {"servos": {**OPTIONS["servos"], "11": [0x20, 0]}}, r"servos\.11: a board is 0x40"),
+        (OPTIONS, {"servos": {**OPTIONS["servos"], "11": OPTIONS["servos"]["12"]}}, "two servos are on one channel"),
+        (MAESTRO, {"speed": 1}, "speed is not an option"),
+        (MAESTRO, {"path": 5}, "path: write the port"),
+        (MAESTRO, {"channels": [0] * 18}, "18 different whole numbers"),
+        (MAESTRO, {"pulse_us": [500, 3000]}, "300 to 2700"),
     ],
 )
-def test_wrong_options_of_a_maestro_are_a_sentence(
-    maestro_kind: type[ServoWire], change: dict[str, object], sentence: str
+def test_wrong_options_are_a_sentence(
+    kind: Any, maestro_kind: Any, given: dict[str, object], change: dict[str, object], sentence: str
 ) -> None:
     with pytest.raises(ValueError, match=sentence):
-        maestro_kind({"path": "/dev/ttyACM0", **change})
+        (maestro_kind if given is MAESTRO else kind)({**given, **change})

@@ -1,7 +1,6 @@
 """What an import loads: nothing slow before a Stop, only pydantic for a payload, and no extra's package unasked."""
 
 import json
-import subprocess
 import sys
 import tomllib
 from importlib.metadata import PackageNotFoundError, packages_distributions, requires
@@ -11,6 +10,8 @@ from typing import Final
 import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+
+from tests.support.command import run_program
 
 PROJECT: Final = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
 NEED_AN_EXTRA: Final = {
@@ -78,8 +79,7 @@ for module in pkgutil.iter_modules(schemas.__path__, "schemas."):
 def loaded(code: str, folder: Path) -> set[str]:
     """Return the modules that this loads in a Python of its own."""
     program = f"import sys\nbefore = set(sys.modules)\n{code}\nprint(*set(sys.modules) - before)"
-    ran = subprocess.run([sys.executable, "-c", program], cwd=folder, capture_output=True, text=True, check=True)
-    return set(ran.stdout.split())
+    return set(run_program(sys.executable, "-c", program, cwd=folder).stdout.split())
 
 
 @pytest.mark.parametrize(
@@ -128,8 +128,6 @@ def test_a_plain_installation_imports_all_but_what_an_extra_is_for() -> None:
         if not {*map(canonicalize_name, distributions)} & (plain | {PROJECT["name"]})
         and module not in sys.stdlib_module_names
     ]
-    ran = subprocess.run(
-        [sys.executable, "-c", IMPORT_ALL, json.dumps(blocked)], capture_output=True, text=True, check=True
-    )
+    ran = run_program(sys.executable, "-c", IMPORT_ALL, json.dumps(blocked))
     failed = [name for name in json.loads(ran.stdout) if not name.startswith(tuple(NEED_AN_EXTRA))]
     assert failed == []

@@ -27,6 +27,7 @@ from gateway.zenoh.config import open_session
 from schemas.keys import ALL_COMMANDS, ESTOP, LEASE, leg_command, servo_command
 from tests.support.gateway_process import free_port
 from tests.support.interleaved import Sample
+from tests.support.waiting import wait_until
 
 LEG_1 = leg_command(1)
 PATIENCE_S = 20.0
@@ -74,10 +75,7 @@ class Held:
 
     async def until(self, condition: Callable[[], bool]) -> None:
         """Wait for what a receiver thread does beside the loop."""
-        ends_s = time.monotonic() + PATIENCE_S
-        while not condition():
-            assert time.monotonic() < ends_s
-            await asyncio.to_thread(time.sleep, 0.001)
+        await asyncio.to_thread(wait_until, condition)
 
     async def close(self) -> None:
         await asyncio.to_thread(self.inbox.close)

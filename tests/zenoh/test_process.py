@@ -3,7 +3,6 @@
 import logging
 import os
 import signal
-import subprocess
 import sys
 import threading
 from collections import Counter
@@ -17,6 +16,7 @@ from gateway.host.realtime import LOOP_PRIORITY, PAGE_PRIORITY, RECEIVER_PRIORIT
 from gateway.people.client.process_end import WalkSignals, keep_signals
 from gateway.robot.zenoh_io.session import RUNTIME
 from gateway.zenoh.limits import MAX_SESSIONS
+from tests.support.command import run_program
 from tests.support.gateway_process import Gateway
 
 root_only = pytest.mark.skipif(os.geteuid() != 0, reason="only root, or a service that may, gets priority")
@@ -24,13 +24,8 @@ root_only = pytest.mark.skipif(os.geteuid() != 0, reason="only root, or a servic
 
 def run(program: str, *prefix: str) -> str:
     """Return what a program prints that has imported our module in a process of its own."""
-    command = [
-        *prefix,
-        sys.executable,
-        "-c",
-        f"from gateway.host.realtime import *\nimport os, threading\n{program}",
-    ]
-    return subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True).stdout.strip()
+    code = f"from gateway.host.realtime import *\nimport os, threading\n{program}"
+    return run_program(*prefix, sys.executable, "-c", code).stdout.strip()
 
 
 def test_timers_are_on_time_in_every_thread() -> None:

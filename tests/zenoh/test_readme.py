@@ -6,7 +6,6 @@ import queue
 import re
 import signal
 import socket
-import subprocess
 import sys
 from contextlib import suppress
 from pathlib import Path
@@ -19,7 +18,7 @@ from schemas import keys
 from schemas.event import Event
 from schemas.words import Kind
 from tests.support.child import Child
-from tests.support.command import parse, run_here
+from tests.support.command import parse, run_here, run_program
 from tests.support.console_process import LINK
 from tests.support.gateway_process import COMMAND, READY, Gateway, free_port
 from tests.support.heard import frames
@@ -41,8 +40,7 @@ def test_the_first_payload_and_the_python_example_work(tmp_path: Path) -> None:
             assert client.ask("hexapod/leg/3/cmd", json.loads(payload)).accepted, "of a leg that nothing has started"
             assert client.stop().accepted
         code = code.replace("tcp/127.0.0.1:7447", gateway.endpoint)
-        end = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120)
-        assert "ticks missed" in end.stdout
+        assert "ticks missed" in run_program(sys.executable, "-c", code, timeout=120).stdout
         with gateway.client() as client:
             state = client.state()
         # The payload, its Stop; the setpoints, of which a busy gateway takes the newest; the Stops at their end.
@@ -62,16 +60,7 @@ def test_the_second_terminal_works_as_printed(tmp_path: Path) -> None:
         commands = [f"{each} --connect {gateway.endpoint}" if "hexapod-gateway" in each else each for each in commands]
         commands += ["python -c 'import gateway.client'"]
         environment = {"PATH": "/usr/bin:/bin", "HOME": str(tmp_path)}
-        done = subprocess.run(
-            ["bash", "-ec", "\n".join(commands)],
-            cwd=tmp_path,
-            env=environment,
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=120,
-        )
-        assert done.returncode == 0, done.stdout + done.stderr
+        run_program("bash", "-ec", "\n".join(commands), cwd=tmp_path, env=environment, timeout=120)
         with gateway.client() as client:
             assert client.state().commands.accepted > 0
 
@@ -82,9 +71,7 @@ def test_the_walk_walks(tmp_path: Path) -> None:
     with Gateway(tmp_path, {"watchdog": {"timeout_ms": 10_000}, "lease": {"ttl_ms": 10_000}}) as gateway:
         code = code.replace("tcp/127.0.0.1:7447", gateway.endpoint).replace("range(150)", "range(50)")
         code = code.replace("ahead(0.2)", "ahead(0.05)").replace("turn(-1.57)", "turn(-0.2)")
-        end = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=120)
-        assert end.returncode == 0, end.stderr
-        assert end.stdout.startswith("Odometry(x_m=0.")
+        assert run_program(sys.executable, "-c", code, timeout=120).stdout.startswith("Odometry(x_m=0.")
         with gateway.client() as client:
             assert client.state().commands.rejected == 0
 
@@ -140,9 +127,6 @@ def test_each_command_to_copy_is_the_programs(path: str) -> None:
     assert len(found) >= 8
 
 
-REPOSITORY = Path(__file__).parents[2]
-
-
 def test_make_run_keeps_an_incident_finds_a_port_and_ends_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With port 8080 taken; what it prints at last is where the console is. The gateway goes on without the console."""
     monkeypatch.setenv(MARK, os.environ[MARK])  # as it was, afterwards
@@ -156,7 +140,7 @@ def test_make_run_keeps_an_incident_finds_a_port_and_ends_all(tmp_path: Path, mo
         with suppress(OSError):  # somebody else may have it already
             other.bind(("127.0.0.1", 8080))
             other.listen()
-        child = Child(["setsid", *start], env, cwd=REPOSITORY)
+        child = Child(["setsid", *start], env, cwd=ROOT)
         try:
             child.wait_for_output(READY)
             address = child.wait_for_output(LINK).removeprefix(LINK)
@@ -178,17 +162,13 @@ def test_make_run_keeps_an_incident_finds_a_port_and_ends_all(tmp_path: Path, mo
                 seen = frames(client)
                 assert client.start_leg(3, 90, 45, 120).accepted
                 seen.wait(lambda frame: frame.cause == "watchdog")
-            again = [sys.executable, "-m", "gateway.onboard.try_out", "no"]
-            second = subprocess.run(again, env=env, capture_output=True, text=True, check=False)
-            taken = f"hexapod-gateway: {endpoint} is taken by another program"
-            assert (second.returncode, second.stdout, second.stderr.count("\n")) == (4, "", 1), second
-            assert second.stderr.startswith(taken)
-            command = [*COMMAND, "check", "--connect", endpoint]
-            told = subprocess.run(command, env=env, capture_output=True, text=True, check=True).stdout
+            second = run_program(sys.executable, "-m", "gateway.onboard.try_out", "no", env=env, code=4)
+            assert (second.stdout, second.stderr.count("\n")) == ("", 1), second
+            assert second.stderr.startswith(f"hexapod-gateway: {endpoint} is taken by another program")
+            told = run_program(*COMMAND, "check", "--connect", endpoint, env=env).stdout
             assert not re.search("^(failure|warning  SPI)", told, re.MULTILINE), told
             assert told.splitlines()[-1].startswith("This machine can reach the gateway")
-            command = [*COMMAND, "incidents", "show", "last"]
-            assert "leg 3" in subprocess.run(command, env=env, capture_output=True, text=True, check=True).stdout
+            assert "leg 3" in run_program(*COMMAND, "incidents", "show", "last", env=env).stdout
             (console,) = [pid for pid in run.processes() if b"\0console\0" in Path(f"/proc/{pid}/cmdline").read_bytes()]
             os.kill(console, signal.SIGKILL)
             with Client(endpoint, timeout_s=5) as client:

@@ -16,6 +16,7 @@ import pytest
 
 from release.build import ROOT, UV
 from release.documents import EXTRAS, SUMS, sign, write_sums
+from tests.support.command import run_program
 
 LEFT_OUT = shutil.ignore_patterns(".git", ".venv", "__pycache__", ".*_cache", "dist", "build", "*.egg-info", "tests")
 WHEN = "1700000000"
@@ -27,16 +28,8 @@ def released(folder: Path, umask: int, when_touched_s: int) -> dict[str, bytes]:
     shutil.copytree(ROOT, copy, ignore=LEFT_OUT, symlinks=True)
     for path in copy.rglob("*"):
         os.utime(path, (when_touched_s, when_touched_s), follow_symlinks=False)
-    done = subprocess.run(
-        [sys.executable, "-m", "release", "--to", str(folder / "dist")],
-        cwd=copy,
-        env={**os.environ, "SOURCE_DATE_EPOCH": WHEN, "TZ": "Asia/Tokyo" if umask else "UTC"},
-        umask=umask,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
+    env = {**os.environ, "SOURCE_DATE_EPOCH": WHEN, "TZ": "Asia/Tokyo" if umask else "UTC"}
+    run_program(sys.executable, "-m", "release", "--to", folder / "dist", cwd=copy, env=env, umask=umask)
     return {path.name: path.read_bytes() for path in (folder / "dist").iterdir()}
 
 
@@ -81,7 +74,7 @@ def test_the_sbom_names_every_package_of_the_lock_with_its_hashes(
     assert (sbom["bomFormat"], sbom["specVersion"]) == ("CycloneDX", "1.5")
     assert sbom["metadata"]["timestamp"] == "2023-11-14T22:13:20Z"
     export = [UV, "export", "--quiet", "--frozen", "--no-config", "--no-header", "--no-annotate", "--no-emit-project"]
-    lock = subprocess.run([*export, *EXTRAS], cwd=ROOT, check=True, capture_output=True, text=True).stdout
+    lock = run_program(*export, *EXTRAS, cwd=ROOT).stdout
     locked = {tuple(line.split(" ")[0].split("==")) for line in lock.splitlines() if not line.startswith(" ")}
     assert locked == {(each["name"], each["version"]) for each in sbom["components"]}
     hashes = {
@@ -98,12 +91,12 @@ PACKAGE = "hexapod-gateway_1.1.0_arm64.deb"
 def download(tmp_path: Path) -> Path:
     """Return a package with the sums and the signature of a release that has more files."""
     key = tmp_path / "key"
-    subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", key], check=True)
+    run_program("ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", key)
     folder = tmp_path / "download"
     folder.mkdir()
     for name in (PACKAGE, "other"):
         (folder / name).write_bytes(name.encode())
-    write_sums(folder, list(folder.iterdir()))
+    write_sums(folder, [folder / "other", folder / PACKAGE])
     sign(folder, key)
     (folder / "other").unlink()
     return folder
@@ -118,13 +111,12 @@ def check(folder: Path) -> tuple[bool, str]:
 
 
 def test_the_command_of_the_readme(download: Path) -> None:
-    shown = subprocess.run(
-        ["ssh-keygen", "-lf", download.parent / "key"], capture_output=True, text=True, check=True
-    ).stdout
+    shown = run_program("ssh-keygen", "-lf", download.parent / "key").stdout
     ok, said = check(download)
     assert ok, said
     assert f'Good "hexapod-gateway-release" signature with ED25519 key {shown.split()[1]}' in said
     assert f"{PACKAGE}: OK" in said
+    assert [line.split()[1] for line in (download / SUMS).read_text().splitlines()] == [PACKAGE, "other"], "in order"
 
     (download / PACKAGE).write_bytes(b"changed")
     ok, said = check(download)

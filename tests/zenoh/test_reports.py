@@ -2,7 +2,6 @@
 
 import http.client
 import socket
-import subprocess
 import sys
 import time
 import urllib.error
@@ -15,6 +14,7 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from gateway import __version__, certs
 from gateway.model.frames import PROTOCOL_VERSION
+from tests.support.command import run_program
 from tests.support.gateway_process import free_port
 from tests.support.pages import described, documented
 from tests.support.secured import Secured
@@ -86,8 +86,7 @@ logging.getLogger("other.library").error("told too")
 
 def spoken(*options: str, program: str = SPEAKER) -> list[str]:
     """Return what SPEAKER writes to a pipe."""
-    command = [sys.executable, *options, "-c", program]
-    ran = subprocess.run(command, capture_output=True, text=True, check=True, timeout=30)
+    ran = run_program(sys.executable, *options, "-c", program, timeout=30)
     assert ran.stdout == "", "results go to stdout, the log to stderr"
     return ran.stderr.removesuffix("\n").split("\n")
 

@@ -23,7 +23,7 @@ from gateway.robot.host.systemd import VARIABLES
 from gateway.robot.service import REST_BEAT_S, SERVOS_FILE
 from schemas import keys
 from tests.support.child import Child, frozen
-from tests.support.gateway_process import READY, Gateway, free_port, write_settings
+from tests.support.gateway_process import READY, Gateway, free_port
 from tests.support.heard import frames
 from tests.support.waiting import wait_until
 
@@ -157,44 +157,35 @@ def broken(session, body_id):  # the inbox takes commands already
 service.UnknownKeys = broken
 """
 RUN = """
-import atexit, os, sys
+import atexit, os
 from gateway import cli
 atexit.register(os.write, 2, b"ended by the interpreter, which aborts while a thread is inside Zenoh")
-sys.argv[1:] = ["run", "--sim", "--config", sys.argv[1]]
 cli.main()
 """
 
 
 @pytest.mark.parametrize(
     ("planted", "last"),
-    [
-        (BROKEN, "hexapod-gateway: a mistake in the gateway ended it: planted"),
-        (MUTE, "hexapod-gateway: a mistake in the gateway ended it: planted"),
-        (HALF_OPEN, "hexapod-gateway: a mistake in the gateway ended it: planted"),
-        (DEAF, "a thread that takes commands has ended or is stuck"),
-    ],
+    [(each, "hexapod-gateway: a mistake in the gateway ended it: planted") for each in (BROKEN, MUTE, HALF_OPEN)]
+    + [(DEAF, "a thread that takes commands has ended or is stuck")],
 )
 def test_a_mistake_of_ours_stops_the_robot_and_ends_the_service(tmp_path: Path, planted: str, last: str) -> None:
     """Planted in the process's own code: nobody knows what state is left, so the robot must stand."""
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
-    config = write_settings(tmp_path / "gateway.toml", {"zenoh": {"listen": [endpoint]}})
-    with Child([sys.executable, "-X", "dev", "-c", planted + RUN, str(config)], os.environ) as child:
+    program = (sys.executable, "-X", "dev", "-c", planted + RUN)
+    with Gateway(tmp_path, program=program, wait=BROKEN in planted) as gateway:
         if BROKEN in planted:
-            child.wait_for_output(READY, 60)
-            with Client(endpoint, timeout_s=20) as client:
+            with gateway.client() as client:
                 client.publish(keys.leg_command(3), {})
-                child.wait()
-        assert child.wait() == 1
-    assert last in child.stderr.splitlines()[-1]
-    assert len(re.findall(r"servo \d\d stopped", child.stderr)) >= 2 * 18, "at the start, and at this end"
+                gateway.child.wait()
+        assert gateway.child.wait() == 1
+    assert last in gateway.child.stderr.splitlines()[-1]
+    assert len(re.findall(r"servo \d\d stopped", gateway.child.stderr)) >= 2 * 18, "at the start, and at this end"
 
 
 def test_a_disk_that_hangs_delays_no_start_for_its_black_box(tmp_path: Path) -> None:
     hangs = "import time\nfrom gateway.robot.blackbox import ring\nring.prepare = lambda folder: time.sleep(600)\n"
-    sections: dict[str, Any] = {"zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"]}, "state": {"path": str(tmp_path)}}
-    config = write_settings(tmp_path / "gateway.toml", sections)
-    with Child([sys.executable, "-c", hangs + RUN, str(config)], os.environ) as child:
-        child.wait_for_output(READY, 60)
+    with Gateway(tmp_path, {"state": {"path": str(tmp_path)}}, program=(sys.executable, "-c", hangs + RUN)):
+        pass  # it is ready
 
 
 # ---- what goes wrong out of sight is said: in the log, to systemd, in the state
@@ -254,8 +245,8 @@ def test_a_simulating_process_cannot_notify_in_the_services_name(monkeypatch: py
 
 def test_a_router_that_is_waited_for_holds_neither_stops_nor_the_end(tmp_path: Path) -> None:
     """The network keeps the service from starting. So does a name server that does not answer, for ten seconds."""
-    waiting = {"connect": {"endpoints": [f"tcp/127.0.0.1:{free_port()}"], "timeout_ms": -1, "exit_on_failure": True}}
-    (tmp_path / "zenoh.json5").write_text(json.dumps(waiting))
+    waiting = {"endpoints": [f"tcp/127.0.0.1:{free_port()}"], "timeout_ms": -1, "exit_on_failure": True}
+    (tmp_path / "zenoh.json5").write_text(json.dumps({"connect": waiting}))
     settings = {"zenoh": {"config": str(tmp_path / "zenoh.json5")}}
     with Gateway(tmp_path, settings, env={"PYTHONDEVMODE": "1"}, wait=False) as gateway:
         for leg in range(1, 7):

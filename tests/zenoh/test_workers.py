@@ -2,7 +2,6 @@
 
 import os
 import select
-import subprocess
 import sys
 from pathlib import Path
 
@@ -10,6 +9,7 @@ import pytest
 
 from tests.box.box import lacks_tools
 from tests.support.child import Child
+from tests.support.command import run_program
 from tests.support.lacks import skip_where
 from tests.support.runs import ENDS_WITH_US, children
 from tests.support.schedule import TESTS
@@ -45,17 +45,15 @@ def test_programs_are_forked_although_a_module_cannot_be_imported(tmp_path: Path
     """An extra is missing, and its module may end with what to type. MuJoCo starts a program while it is imported."""
     for module, error in {"foxglove": "ImportError", "mujoco": "BlockingIOError"}.items():
         (tmp_path / f"{module}.py").write_text(f"raise {error}")
-    imported = [sys.executable, "-c", "from tests.support import zygote; zygote._imported()"]
-    env = {"PYTHONPATH": str(tmp_path)}
-    done = subprocess.run(imported, cwd=TESTS.parent, env=env, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (0, "")
+    imported = "from tests.support import zygote; zygote._imported()"
+    done = run_program(sys.executable, "-c", imported, cwd=TESTS.parent, env={"PYTHONPATH": str(tmp_path)})
+    assert done.stderr == ""
 
 
 def test_scenes_need_no_tools_of_tests() -> None:
     """A robot on which they are played has the package, and no pytest."""
     found = "import sys, tests.kernel.inside.scenes; print({'pytest', 'hypothesis'} & {*sys.modules})"
-    done = subprocess.run([sys.executable, "-c", found], cwd=TESTS.parent, capture_output=True, text=True, check=True)
-    assert done.stdout == "set()\n"
+    assert run_program(sys.executable, "-c", found, cwd=TESTS.parent).stdout == "set()\n"
 
 
 @pytest.mark.full
