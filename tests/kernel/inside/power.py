@@ -13,7 +13,7 @@ import can
 
 from gateway.model.power_board import ALL, CanFrame, set_supply
 from gateway.simulation.board import SimulatedBoard
-from tests.kernel.inside.robot import Robot, robot
+from tests.kernel.inside.service import Robot, robot
 from tests.support.child import Child
 from tests.support.heard import servos_on
 from tests.support.waiting import wait_until

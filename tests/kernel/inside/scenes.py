@@ -1,10 +1,12 @@
 """All scenes: what each shows, and in which boot."""
 
+import struct
 from collections.abc import Callable
+from functools import partial
 from typing import Final, NamedTuple
 
 from gateway.model.frames import Framing
-from tests.kernel.inside import batches, camera, failures, power, service, shipped
+from tests.kernel.inside import batches, camera, power, service, shipped
 
 
 class Scene(NamedTuple):
@@ -25,23 +27,22 @@ SCENES: Final = {
     ),
     "atomic": Scene("no transfer of two other writers comes into a batch", batches.atomic),
     "killed": Scene("a program that is killed in its batch finishes it", batches.killed),
-    "error": Scene("a transfer fails at once: all six Stops leave", failures.fails_at_once),
-    "lost": Scene("Linux gives up on a transfer: all six Stops leave", failures.lost),
-    "hang": Scene("a transfer hangs in the driver: nobody is killed, and nothing overtakes it", failures.hangs),
+    "error": Scene("a transfer fails at once: all six Stops leave", batches.fails_at_once),
+    "lost": Scene("Linux gives up on a transfer: all six Stops leave", batches.lost),
+    "hang": Scene("a transfer hangs in the driver: nobody is killed, and nothing overtakes it", batches.hangs),
     "estop-plain": Scene("plain: an emergency stop of a service", lambda: service.emergency_stop(Framing.PLAIN)),
     "estop-length-prefixed": Scene(
         "length-prefixed: an emergency stop of a service", lambda: service.emergency_stop(Framing.LENGTH_PREFIXED)
     ),
     "lost-zeros": Scene("zeros are lost and frames pass: six Stops soon", service.lost_zeros),
-    "other-speed-fast": Scene(
-        "another program sets 20 MHz: no Stop leaves with it", lambda: service.other_speed(20_000_000)
-    ),
-    "other-speed-slow": Scene(
-        "another program sets 10 kHz: no Stop leaves with it", lambda: service.other_speed(10_000)
-    ),
-    "other-mode": Scene(
-        "another program sets mode 3: no Stop leaves with it", lambda: service.meddled(service.WRITE_MODE, b"\x03")
-    ),
+    **{
+        name: Scene(f"another program sets {what}: no Stop leaves with it", partial(service.meddled, request, value))
+        for name, what, request, value in (
+            ("other-speed-fast", "20 MHz", service.WRITE_SPEED, struct.pack("=I", 20_000_000)),
+            ("other-speed-slow", "10 kHz", service.WRITE_SPEED, struct.pack("=I", 10_000)),
+            ("other-mode", "mode 3", service.WRITE_MODE, b"\x03"),
+        )
+    },
     "unbound": Scene("the device goes while it is written, and returns: six Stops", service.unbound),
     "power-estop": Scene("socketcan: an emergency stop takes the supply, and is confirmed", power.estop),
     "power-others": Scene("socketcan: masks of other programs on this computer, and stop-servos", power.others),

@@ -2,22 +2,60 @@
 
 import fcntl
 import os
-import struct
 import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Final
+from tempfile import TemporaryDirectory
+from typing import Any, Final
 
+from gateway.client import Client
 from gateway.model.frames import Framing
 from gateway.people.client.payloads import legs_payload
 from schemas import keys
+from schemas.event import Event
 from tests.kernel.inside import wire
-from tests.kernel.inside.batches import OURS
-from tests.kernel.inside.robot import robot
+from tests.kernel.inside.batches import OURS, SPEED_HZ
+from tests.support.gateway_process import READY, Gateway
+from tests.support.heard import events
 from tests.support.waiting import wait_until
 
 WRITE_MODE: Final = 0x40016B01
 WRITE_SPEED: Final = 0x40046B04
 DRIVER: Final = Path("/sys/bus/spi/drivers/spidev")
+
+
+class Robot:
+    """A running service on the device, a client of it, and what it has published."""
+
+    def __init__(self, gateway: Gateway, client: Client) -> None:
+        self.gateway = gateway
+        self.client = client
+        self._heard = events(client)
+
+    def events(self, kind: str) -> list[Event]:
+        return [each for each in self._heard.all if str(each.kind) == kind]
+
+    def start(self) -> None:
+        """Start all six legs, at 90 degrees."""
+        ack = self.client.start_legs(dict.fromkeys(wire.SIX, (90, 90, 90)), check=False)
+        assert ack.accepted, ack.detail
+
+
+@contextmanager
+def robot(framing: Framing = Framing.LENGTH_PREFIXED, power: Mapping[str, Any] | None = None) -> Iterator[Robot]:
+    """`hexapod-gateway run` on the device, ready and at rest; a slow machine alone stops and rejects nothing."""
+    settings: dict[str, dict[str, Any]] = {
+        "limits": {"max_age_ms": 0},
+        "spi": {"device": wire.DEVICE, "framing": str(framing), "speed_hz": SPEED_HZ},
+        "watchdog": {"timeout_ms": 10_000},
+        "power": {**(power or {})},
+    }
+    with TemporaryDirectory() as folder, Gateway(Path(folder), settings, options=(), wait=False) as gateway:
+        gateway.child.wait_for_output(READY, 180)  # under emulation it takes half a minute to load
+        with Client(gateway.endpoint, source="a scene", timeout_s=20) as client:
+            client.wait_ready(60)
+            yield Robot(gateway, client)
 
 
 def stops() -> list[wire.Transfer]:
@@ -55,10 +93,6 @@ def another_hand(request: int, value: bytes) -> None:
 
 PAUSE_S: Final = 0.5
 """Nothing is written for so long: before a first Stop after a pause, what the device is set to has to be looked at."""
-
-
-def other_speed(speed_hz: int) -> str:
-    return meddled(WRITE_SPEED, struct.pack("=I", speed_hz))
 
 
 def meddled(request: int, value: bytes) -> str:
