@@ -64,7 +64,7 @@ def test_check_prints_the_same_as_json_for_programs(tmp_path: Path) -> None:
     assert [line.partition(" → ")[0] for line in shown.stdout.splitlines()[:-1]] == told
 
 
-# ---- ports (one on which a gateway answers: tests/hil/test_lists.py)
+# ---- ports (one on which a gateway answers: tests/hil/test_service.py)
 
 
 @pytest.fixture

@@ -1,7 +1,8 @@
-"""The process: its priority, and a signal that arrives inside a Zenoh callback."""
+"""The process: its priority, a signal that arrives inside a Zenoh callback, and its end as a container's first one."""
 
 import logging
 import os
+import re
 import signal
 import sys
 import threading
@@ -16,9 +17,12 @@ from gateway.host.realtime import LOOP_PRIORITY, PAGE_PRIORITY, RECEIVER_PRIORIT
 from gateway.people.client.process_end import WalkSignals, keep_signals
 from gateway.robot.zenoh_io.session import RUNTIME
 from gateway.zenoh.limits import MAX_SESSIONS
+from tests.support.child import Child
 from tests.support.command import run_program
-from tests.support.gateway_process import Gateway
+from tests.support.gateway_process import READY, Gateway, free_port, write_settings
 
+DEPLOY = Path(__file__).parents[2] / "deploy"
+SCRIPT = DEPLOY / "container/run-and-stop"
 root_only = pytest.mark.skipif(os.geteuid() != 0, reason="only root, or a service that may, gets priority")
 
 
@@ -52,12 +56,20 @@ def test_without_the_right_to_it_everything_stays_as_it_was() -> None:
     assert run(program, "prlimit", "--rtprio=0:0", "--nice=0:0", "--", *without).split() == ["False", before]
 
 
+UNIT = (DEPLOY / "systemd/hexapod-gateway.service").read_text()
+
+
+def setting(name: str) -> str:
+    """Return what the service unit has."""
+    found = re.search(rf"^{name}=(.*)$", UNIT, re.MULTILINE)
+    assert found is not None
+    return found[1]
+
+
 def test_the_service_unit_allows_what_the_process_takes() -> None:
-    unit = (Path(__file__).parents[2] / "deploy/systemd/hexapod-gateway.service").read_text()
-    assert f"\nLimitRTPRIO={LOOP_PRIORITY}\nLimitNICE={ZENOH_NICE}\n" in unit
-    (most,) = [line.partition("=")[2] for line in unit.splitlines() if line.startswith("TasksMax=")]
+    assert (setting("LimitRTPRIO"), setting("LimitNICE")) == (str(LOOP_PRIORITY), str(ZENOH_NICE))
     assert str(MAX_SESSIONS) in RUNTIME
-    assert int(most) >= MAX_SESSIONS + 40, "an hour of load had 18 to 20 besides Zenoh's two"
+    assert int(setting("TasksMax")) >= MAX_SESSIONS + 40, "an hour of load had 18 to 20 besides Zenoh's two"
 
 
 @pytest.mark.parametrize(("own", "receiving"), [(None, MAX_SESSIONS), ("(rx:(worker_threads:3))", 3)])
@@ -129,3 +141,55 @@ def test_a_signal_that_is_delivered_again_is_one_signal_for_a_walk(monkeypatch: 
             with pytest.raises(KeyboardInterrupt):
                 threading.Event().wait(WAIT_S)
             assert (signals.count, ended) == (count, [True] * (count - 1))
+
+
+# ---- deploy/container: the script that a container starts, as PID 1 of a namespace, and the limits that it is given
+
+
+def test_a_container_gets_the_units_devices_groups_and_limits() -> None:
+    page = (DEPLOY / "container/README.md").read_text()
+    limits = {
+        "--ulimit rtprio=": setting("LimitRTPRIO"),
+        "--ulimit nice=": str(20 - int(setting("LimitNICE"))),
+        "--ulimit nofile=": setting("LimitNOFILE"),
+        "--ulimit core=": setting("LimitCORE"),
+        "--memory ": setting("MemoryMax").lower(),
+        "--pids-limit ": setting("TasksMax"),
+        "--stop-timeout ": setting("TimeoutStopSec"),
+    }
+    for option, value in limits.items():
+        assert re.search(rf"{option}{value}(\s|$)", page), (option, value)
+    for group in setting("SupplementaryGroups").split():
+        assert f"getent group {group} " in page
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT], ids=["stop", "Ctrl-C"])
+def test_as_the_first_process_it_ends_in_time_with_the_gateways_code(tmp_path: Path, number: signal.Signals) -> None:
+    config = write_settings(tmp_path / "gateway.toml", {"zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"]}})
+    with _container(tmp_path, "--sim", "--config", str(config)) as child:
+        child.wait_for_output(READY, timeout_s=60)
+        children = Path(f"/proc/{child.pid}/task/{child.pid}/children").read_text()
+        os.kill(int(children.split()[0]), number)
+        assert child.wait() == 0
+
+
+@pytest.mark.full
+def test_whatever_the_end_stops_follow(tmp_path: Path) -> None:
+    """Here there is no device, so both say so; the code is the gateway's."""
+    config = write_settings(tmp_path / "gateway.toml", {"spi": {"framing": "plain", "device": "/dev/spidev9.9"}})
+    with _container(tmp_path, "--config", str(config)) as child:
+        assert child.wait() == 3
+        assert child.stderr.count("/dev/spidev9.9 does not exist") == 2, child.stderr
+
+
+def _container(folder: Path, *arguments: str) -> Child:
+    """Run the script in a namespace of processes of its own."""
+    program = folder / "bin/hexapod-gateway"
+    program.parent.mkdir()
+    program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m gateway "$@"\n')
+    program.chmod(0o755)
+    runtime = folder / "run"
+    runtime.mkdir()
+    environment = {**os.environ, "RUNTIME_DIRECTORY": str(runtime), "PATH": f"{program.parent}:{os.environ['PATH']}"}
+    return Child(["unshare", "--pid", "--fork", "--mount-proc", str(SCRIPT), *arguments], environment)
