@@ -3,7 +3,6 @@
 import itertools
 import os
 import sys
-import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -190,7 +189,7 @@ class LaptopHost(Closing):
         """To those of the last acknowledged stream, and when they came (monotonic, s)."""
         self._step = itertools.count()
         self._stream = ExitStack()
-        self._reach = {True: threading.Event(), False: threading.Event()}
+        self._alive = False
         session = self.client.session
         self._declared: list[Any] = [
             *(session.declare_subscriber(key, RingChannel(1)) for key in (STATE, EVENT, FRAME)),
@@ -237,12 +236,10 @@ class LaptopHost(Closing):
 
     def wait_for_reach(self, *, within: bool) -> None:
         """Wait until Zenoh has given the gateway up, or has found it again."""
-        assert self._reach[within].wait(LATE_S), f"{self.source}, within reach: not {within}"
+        wait_until(lambda: self._alive is within, f"{self.source}, within reach: {within}", LATE_S)
 
     def _take_alive(self, sample: zenoh.Sample) -> None:
-        alive = sample.kind == zenoh.SampleKind.PUT
-        self._reach[not alive].clear()
-        self._reach[alive].set()
+        self._alive = sample.kind == zenoh.SampleKind.PUT
 
     def _pose(self) -> tuple[float, float, float]:
         """Return a pose that never comes twice in a row."""

@@ -26,8 +26,7 @@ TRIALS = int(os.environ.get("TRIALS", "3"))
 
 
 def start(folder: Path) -> Gateway:
-    (folder / "state").mkdir(exist_ok=True)
-    return Gateway(folder, env={"HEXAPOD_STATE__PATH": str(folder / "state")})
+    return Gateway(folder, {"state": {"path": str(folder / "state")}})
 
 
 def press(client: Client, source: str = "anna") -> int:

@@ -36,14 +36,12 @@ watcher = client_fixture("watcher")
 
 
 @pytest.fixture
-def plug_in(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+def plug_in() -> dict[str, Any]:
     """Return the example's names, with LeRobot's abstract classes alone."""
-    for name in [each for each in sys.modules if each.partition(".")[0] == "lerobot"]:
-        monkeypatch.delitem(sys.modules, name)
     lerobot_protocol.install()
     found = runpy.run_path(str(EXAMPLE / "lerobot_robot_hexapod.py"), run_name="lerobot_robot_hexapod")
     for name in [each for each in sys.modules if each.partition(".")[0] == "lerobot"]:
-        monkeypatch.delitem(sys.modules, name)
+        del sys.modules[name]
     return found
 
 

@@ -72,7 +72,7 @@ def test_no_line_of_keys_wraps_in_80_columns() -> None:
     assert max(map(len, screen._KEYS.splitlines())) <= 80
 
 
-def test_a_person_walks_stops_and_leaves(gateway: Gateway, watcher: Client) -> None:
+def test_a_person_walks_stops_goes_on_also_after_a_takeover_and_leaves(gateway: Gateway, watcher: Client) -> None:
     with Terminal(gateway.endpoint) as terminal:
         terminal.wait("Nothing moves before you press a key.", "drives", "It lies")
         assert watcher.state().mode == Mode.IDLE
@@ -89,17 +89,6 @@ def test_a_person_walks_stops_and_leaves(gateway: Gateway, watcher: Client) -> N
         terminal.press("g")
         terminal.wait("It goes on with the next key.", "It lies")
         assert watcher.state().mode == Mode.IDLE
-        terminal.press("c")
-        terminal.wait("It sits")
-        terminal.press("q")
-        assert terminal.wait_for_end() == 0
-    assert watcher.state().mode == Mode.IDLE
-    assert watcher.state().lease.holder is None
-
-
-def test_after_its_lease_was_taken_g_acquires_it_again(gateway: Gateway, watcher: Client) -> None:
-    with Terminal(gateway.endpoint) as terminal:
-        terminal.wait("Nothing moves before you press a key.", "drives")
         with watcher.lease(take=True, source="anna"):
             terminal.press("t")
             terminal.wait("anna holds it now; g goes on", "does not drive")
@@ -107,8 +96,11 @@ def test_after_its_lease_was_taken_g_acquires_it_again(gateway: Gateway, watcher
         terminal.wait("It goes on with the next key.", "drives")
         terminal.press("t")
         terminal.wait("It stands")
+        terminal.press("c")
+        terminal.wait("It sits")
         terminal.press("q")
         assert terminal.wait_for_end() == 0
+    assert watcher.state().mode == Mode.IDLE
     assert watcher.state().lease.holder is None
 
 
