@@ -8,18 +8,20 @@ import shutil
 import subprocess
 import sys
 import tarfile
+import tomllib
 import zipfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
-from release.build import ROOT, UV
+from release.build import ROOT, UV, plain
 from release.documents import EXTRAS, SUMS, sign, write_sums
 from tests.support.command import run_program
 
 LEFT_OUT = shutil.ignore_patterns(".git", ".venv", "__pycache__", ".*_cache", "dist", "build", "*.egg-info", "tests")
 WHEN = "1700000000"
+OFFERED = re.compile(r"^([A-Za-z0-9_.-]+)")
 
 
 def released(folder: Path, umask: int, when_touched_s: int) -> dict[str, bytes]:
@@ -82,6 +84,39 @@ def test_the_sbom_names_every_package_of_the_lock_with_its_hashes(
     }
     in_lock = {part.split("sha256:")[1] for part in lock.split() if "sha256:" in part}
     assert in_lock <= hashes
+
+
+def test_the_lock_has_every_dependency_with_its_hashes() -> None:
+    """After a change of pyproject.toml: `make lock`."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    optional = project["optional-dependencies"]
+    wanted = [*project["dependencies"], *optional["spi"], *optional["console"], *optional["power"]]
+    names = {match[1].lower().replace("_", "-") for each in wanted if (match := OFFERED.match(each)) is not None}
+    locked = {each["name"]: each for each in tomllib.loads((ROOT / "uv.lock").read_text())["package"]}
+    assert names <= locked.keys()
+    for name in names:
+        files = [*locked[name].get("wheels", []), *([locked[name]["sdist"]] if "sdist" in locked[name] else [])]
+        assert files
+        assert all(re.fullmatch("sha256:[0-9a-f]{64}", each["hash"]) for each in files), name
+
+
+def test_an_archive_says_nothing_of_the_machine(tmp_path: Path) -> None:
+    for name in "ab":
+        (tmp_path / name).write_text(name)
+    (tmp_path / "a").chmod(0o750)
+    made: list[bytes] = []
+    for order in ("ab", "ba"):
+        written = io.BytesIO()
+        with tarfile.open(fileobj=written, mode="w:gz") as machines:
+            for name in order:
+                os.utime(tmp_path / name, (len(made), len(made)))
+                machines.add(tmp_path / name, name)
+        made.append(plain(written.getvalue(), 1_700_000_000))
+    assert made[0] == made[1]
+    with tarfile.open(fileobj=io.BytesIO(made[0])) as archive:
+        entries = archive.getmembers()
+    assert [(each.name, each.mode) for each in entries] == [("a", 0o755), ("b", 0o644)]
+    assert {(each.mtime, each.uid, each.gid, each.uname) for each in entries} == {(1_700_000_000, 0, 0, "")}
 
 
 PACKAGE = "hexapod-gateway_1.1.0_arm64.deb"

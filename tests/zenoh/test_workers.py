@@ -1,4 +1,4 @@
-"""Processes that tests start: workers of a run, programs where an extra is missing, what ends with its run."""
+"""Runs of the tests: workers, programs where an extra is missing, what ends with its run, and which tests run when."""
 
 import os
 import select
@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from tests.box.box import lacks_tools
+from tests.support import lacks, schedule
 from tests.support.child import Child
 from tests.support.command import run_program
-from tests.support.lacks import skip_where
 from tests.support.runs import ENDS_WITH_US, children
 from tests.support.schedule import TESTS
 
@@ -58,7 +58,7 @@ def test_scenes_need_no_tools_of_tests() -> None:
 
 @pytest.mark.full
 def test_what_is_to_end_with_its_run_does_if_the_run_is_killed() -> None:
-    skip_where(lacks_tools("what ends with its run is", "setpriv", "unshare"))
+    lacks.skip_where(lacks_tools("what ends with its run is", "setpriv", "unshare"))
     command = [*ENDS_WITH_US, "sh", "-c", "sleep 1000 & echo sleeps; wait"]
     with Child([sys.executable, "-c", f"import subprocess; subprocess.run({command})"], os.environ) as run:
         run.wait_for_output("sleeps")
@@ -70,3 +70,62 @@ def test_what_is_to_end_with_its_run_does_if_the_run_is_killed() -> None:
         for each in ends:
             assert select.select([each], [], [], 30)[0]
             os.close(each)
+
+
+# ---- which tests run when
+
+
+TEST, ALL = "not full and not nightly", "not alone and not attended and not searches and not nightly"
+
+
+def test_what_is_named_is_there() -> None:
+    for place in (*schedule.FOLDERS, *schedule.APART, *schedule.TOGETHER, *schedule.SECOND_BOX):
+        assert (TESTS / place).exists(), place
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "marks", "elsewhere"),
+    [
+        ("zenoh/test_a.py", "", TEST, False),
+        ("zenoh/test_a.py", "@pytest.mark.full\ndef test_a(): ...", TEST, False),
+        ("zenoh/test_a.py", "pytestmark = pytest.mark.full", TEST, True),
+        ("zenoh/test_a.py", "pytestmark = pytest.mark.full", ALL, False),
+        ("zenoh/test_a.py", "pytestmark = [\n    pytest.mark.hil,\n    pytest.mark.nightly,\n]", ALL, True),
+        ("hil/test_a.py", "", TEST, True),
+        ("walking/test_a.py", "", ALL, True),
+        ("zenoh/test_a.py", "", "alone and not nightly", True),
+        ("zenoh/test_a.py", "@pytest.mark.alone\ndef test_a(): ...", "alone and not nightly", False),
+        ("net/data.json", "", "attended", False),
+    ],
+)
+def test_a_file_is_imported_only_where_it_has_tests_that_run(
+    file: str, text: str, marks: str, elsewhere: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(schedule, "TESTS", tmp_path)
+    (tmp_path / file).parent.mkdir()
+    (tmp_path / file).write_text(text)
+    assert schedule.is_elsewhere(tmp_path / file, marks) is elsewhere
+
+
+@pytest.mark.parametrize(
+    ("marks", "tiers"),
+    [([], set()), (["nightly"], {"nightly"}), (["hil", "nightly"], {"nightly"})]
+    + [([name], {"full"}) for name in lacks.LACKS],
+)
+def test_what_needs_root_or_packages_is_never_in_make_test(
+    request: pytest.FixtureRequest, marks: list[str], tiers: set[str]
+) -> None:
+    """Also a single test, in a folder of which all others need nothing."""
+    item = pytest.Function.from_parent(request.node.parent, name="test_one", callobj=lambda: None)
+    for mark in marks:
+        item.add_marker(mark)
+    schedule.arrange([item])
+    assert {mark.name for mark in item.iter_markers()} & {*schedule.TIERS} == tiers
+
+
+def test_what_is_apart_shares_nothing() -> None:
+    """A fixture for a whole file would be made anew on each worker, and for a whole folder, too."""
+    for place in schedule.APART:
+        path = TESTS / place
+        for file in path.glob("*.py") if path.is_dir() else [path]:
+            assert 'scope="' not in file.read_text(), file
