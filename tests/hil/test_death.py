@@ -37,7 +37,6 @@ def stop_servos(bed: SpiTestbed, config: Path) -> list[Transfer]:
     """Run it to its end, and return what it wrote. Others' writes may be reported only now, as other openings."""
     earlier = newest_opening(bed)
     ended(bed, "stop-servos", config)
-    bed.heal()  # whose answer comes behind all reports
     return [each for each in bed.transfers if each.opening > earlier]
 
 
