@@ -16,7 +16,7 @@ from gateway.robot.settings import Settings
 from release import interface_page
 from schemas import __main__ as messages
 from schemas import keys
-from schemas.keys import COMMAND_KEYS, CommandKey, Target, leg_command, parse, servo_command
+from schemas.keys import COMMAND_KEYS, Target, leg_command, parse, servo_command
 from schemas.robot import LEGS, SERVO_IDS
 from tests.kernel.inside.scenes import SCENES
 
@@ -151,13 +151,6 @@ def test_each_kernel_scene_that_it_names_exists() -> None:
 def test_commands_of_one_instant_apply_in_this_order() -> None:
     targets = [parsed.target for parsed in COMMAND_KEYS.values()]
     assert targets == [Target.LEGS, *[Target.LEG] * 6, *[Target.SERVO] * 18, Target.ESTOP, Target.RESET]
-
-
-def test_what_is_built_is_parsed() -> None:
-    for leg in LEGS:
-        assert parse(leg_command(leg)) == CommandKey(Target.LEG, leg)
-    for servo_id in SERVO_IDS:
-        assert parse(servo_command(servo_id)) == CommandKey(Target.SERVO, servo_id)
 
 
 NO_LEG = "does not exist; legs are 1 to 6"

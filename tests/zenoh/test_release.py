@@ -24,6 +24,10 @@ WHEN = "1700000000"
 OFFERED = re.compile(r"^([A-Za-z0-9_.-]+)")
 
 
+Twice = tuple[dict[str, bytes], dict[str, bytes]]
+"""By name, the files that each of two builds has made."""
+
+
 def released(folder: Path, umask: int, when_touched_s: int) -> dict[str, bytes]:
     """Return what `make dist` makes of a copy there, without a key."""
     copy = folder / "repository"
@@ -36,7 +40,7 @@ def released(folder: Path, umask: int, when_touched_s: int) -> dict[str, bytes]:
 
 
 @pytest.fixture(scope="module")
-def twice(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, bytes], dict[str, bytes]]:
+def twice(tmp_path_factory: pytest.TempPathFactory) -> Twice:
     first, second = tmp_path_factory.mktemp("first"), tmp_path_factory.mktemp("second")
     with ThreadPoolExecutor() as pool:
         begun = pool.submit(released, second / "elsewhere", 0o077, 1_650_000_000)
@@ -44,7 +48,7 @@ def twice(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, bytes], d
 
 
 @pytest.mark.nightly
-def test_two_builds_are_equal_to_the_byte(twice: tuple[dict[str, bytes], dict[str, bytes]]) -> None:
+def test_two_builds_are_equal_to_the_byte(twice: Twice) -> None:
     first, second = twice
     assert sorted(first) == sorted(second)
     assert [name for name in first if first[name] != second[name]] == []
@@ -55,9 +59,7 @@ def test_two_builds_are_equal_to_the_byte(twice: tuple[dict[str, bytes], dict[st
 
 
 @pytest.mark.nightly
-def test_the_wheel_has_both_packages_their_types_the_schemas_the_licence_and_what_a_robot_needs(
-    twice: tuple[dict[str, bytes], dict[str, bytes]],
-) -> None:
+def test_the_wheel_has_both_packages_the_licence_and_what_a_robot_needs(twice: Twice) -> None:
     (wheel,) = (data for name, data in twice[0].items() if name.endswith(".whl"))
     names = set(zipfile.ZipFile(io.BytesIO(wheel)).namelist())
     assert {"gateway/py.typed", "schemas/py.typed", "schemas/json/LegCommand.json", "gateway/cli.py"} <= names
@@ -69,9 +71,7 @@ def test_the_wheel_has_both_packages_their_types_the_schemas_the_licence_and_wha
 
 
 @pytest.mark.nightly
-def test_the_sbom_names_every_package_of_the_lock_with_its_hashes(
-    twice: tuple[dict[str, bytes], dict[str, bytes]],
-) -> None:
+def test_the_sbom_names_every_package_of_the_lock_with_its_hashes(twice: Twice) -> None:
     sbom = json.loads(twice[0]["sbom.cdx.json"])
     assert (sbom["bomFormat"], sbom["specVersion"]) == ("CycloneDX", "1.5")
     assert sbom["metadata"]["timestamp"] == "2023-11-14T22:13:20Z"
