@@ -4,7 +4,6 @@ import json
 import os
 import re
 import runpy
-import subprocess
 import sys
 import tarfile
 from collections.abc import Iterator
@@ -19,7 +18,7 @@ from schemas.robot import LEGS
 from schemas.words import Kind
 from tests.support import lerobot_protocol
 from tests.support.camera_server import CameraServer
-from tests.support.child import Child
+from tests.support.command import run_program
 from tests.support.fixtures import client_fixture, gateway_fixture, patient
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events, frames, last_angles
@@ -127,14 +126,12 @@ def test_a_camera_keeps_its_url(plug_in: dict[str, Any]) -> None:
 # ---- LeRobot itself
 
 
-def lerobot(command: str, gateway: Gateway, folder: Path | None, *options: str) -> subprocess.CompletedProcess[str]:
-    """Run a command of LeRobot's, with its dataset in `folder`."""
+def lerobot(command: str, gateway: Gateway, folder: Path | None, *options: str, code: int = 0) -> str:
+    """Run a command of LeRobot's, with its dataset in `folder`. Return what it wrote to stderr."""
     robot = ["--robot.type=hexapod", f"--robot.endpoint={gateway.endpoint}"]
     if folder is not None:
         robot += ["--dataset.repo_id=me/ride", f"--dataset.root={folder / 'ride'}", "--play_sounds=false"]
-    return subprocess.run(
-        [LEROBOT / command, *robot, *options], env=OFFLINE, capture_output=True, text=True, check=False
-    )
+    return run_program(LEROBOT / command, *robot, *options, env=OFFLINE, code=code).stderr
 
 
 RECORD: Final = (
@@ -162,11 +159,9 @@ def test_the_released_lerobot_records_loads_and_replays(gateway: Gateway, watche
     with CameraServer() as camera:
         front = f"{{front: {{type: opencv, index_or_path: '{camera.url}', width: 32, height: 24, fps: 30}}}}"
         seen = f"--robot.cameras={front}", "--dataset.video=false"
-        recorded = lerobot("lerobot-record", gateway, tmp_path, *RECORD, *seen, "--dataset.episode_time_s=10")
-    assert recorded.returncode == 0, recorded.stderr
-    with Child([str(LEROBOT / "python"), "-c", LOAD, str(tmp_path / "ride")], OFFLINE) as child:
-        assert child.wait(300) == 0, child.stderr
-        loaded = json.loads(child.stdout.splitlines()[-1])
+        lerobot("lerobot-record", gateway, tmp_path, *RECORD, *seen, "--dataset.episode_time_s=10")
+    loads = run_program(LEROBOT / "python", "-c", LOAD, tmp_path / "ride", env=OFFLINE, timeout=300)
+    loaded = json.loads(loads.stdout.splitlines()[-1])
     assert loaded["names"] == [*ACTION]
     assert loaded["action"] == pytest.approx([0.06, 0.04, 0.2, 0.0])
     assert loaded["frames"] > 30
@@ -174,10 +169,8 @@ def test_the_released_lerobot_records_loads_and_replays(gateway: Gateway, watche
     assert tuple(loaded["robot"]) == lerobot_protocol.ROBOT
     assert tuple(loaded["teleoperator"]) == lerobot_protocol.TELEOPERATOR
     written = frames(watcher)
-    replayed = lerobot("lerobot-replay", gateway, tmp_path, "--dataset.episode=0")
-    assert replayed.returncode == 0, replayed.stderr
-    driven = lerobot("lerobot-teleoperate", gateway, None, "--teleop.type=hexapod", "--teleop.keys=false", *SECONDS)
-    assert driven.returncode == 0, driven.stderr
+    lerobot("lerobot-replay", gateway, tmp_path, "--dataset.episode=0")
+    lerobot("lerobot-teleoperate", gateway, None, "--teleop.type=hexapod", "--teleop.keys=false", *SECONDS)
     assert len(last_angles(written.all)) == 18
     assert watcher.state().lease.holder is None
 
@@ -213,9 +206,8 @@ def test_lerobots_own_tests_of_a_robot_pass_with_the_hexapod(gateway: Gateway, t
     with tarfile.open(source) as archive:
         (member,) = (each for each in archive if each.name.partition("/")[2] == OWN_TESTS)
         (tmp_path / OWN_TESTS).write_bytes(archive.extractfile(member).read())  # type: ignore[union-attr]
-    command = [str(LEROBOT / "python"), "-m", "pytest", "-p", "no:cacheprovider", OWN_TESTS]
-    env = {**OFFLINE, "ENDPOINT": gateway.endpoint}
-    done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True, check=False)
+    command = (LEROBOT / "python", "-m", "pytest", "-p", "no:cacheprovider", OWN_TESTS)
+    done = run_program(*command, cwd=tmp_path, env={**OFFLINE, "ENDPOINT": gateway.endpoint})
     assert re.search(r"=== \d+ passed in .*===$", done.stdout, re.M), done.stdout
 
 
@@ -224,13 +216,11 @@ def test_lerobots_own_tests_of_a_robot_pass_with_the_hexapod(gateway: Gateway, t
 def test_an_emergency_stop_ends_lerobots_recording(gateway: Gateway, watcher: Client, tmp_path: Path) -> None:
     told = events(watcher)
     with ThreadPoolExecutor(1) as thread:
-        recording = thread.submit(lerobot, "lerobot-record", gateway, tmp_path, *RECORD, "--dataset.episode_time_s=60")
+        options = (*RECORD, "--dataset.episode_time_s=60")
+        recording = thread.submit(lerobot, "lerobot-record", gateway, tmp_path, *options, code=1)
         wait_until(lambda: watcher.state().leg(1).running, "its start", 300)
         watcher.estop()
         ended = recording.result()
     told.wait(lambda event: event.kind == Kind.ESTOP_ENGAGED)
-    assert ended.returncode == 1
-    assert re.search(
-        r"^ConnectionError: the episode has ended: .*emergency stop was engaged by watcher", ended.stderr, re.M
-    )
+    assert re.search(r"^ConnectionError: the episode has ended: .*emergency stop was engaged by watcher", ended, re.M)
     watcher.reset()
