@@ -81,21 +81,6 @@ def scene(folder: Path, wire: Wire, **sections: dict[str, Any]) -> Iterator[Scen
         yield Scene(gateway, client, wire, pool)
 
 
-# ---- transfers fail
-
-
-@pytest.mark.parametrize("count", [1, 10])
-def test_transfers_that_fail_once_and_ten_times(tmp_path: Path, wire: Wire, count: int) -> None:
-    with scene(tmp_path, wire) as at:
-        wire.bed.fail(errno.EIO, count=count)
-        at.touch()
-        transfers = at.recovered()
-        assert [each.errno for each in transfers if each.errno] == [errno.EIO] * count
-        assert transfers[0].errno == errno.EIO
-        assert at.client.state().spi.errors > 0
-        at.goes_on()
-
-
 # ---- the device goes and comes back
 
 
