@@ -37,18 +37,17 @@ class Held:
     """An inbox. `takes`: it takes all that there is whenever it rings; else what a tick would take is looked at."""
 
     def __init__(self, opened: zenoh.Session, *, takes: bool = False) -> None:
-        self.wakeups = asyncio.Event()
+        self.woken = threading.Event()
         self.taken: list[str] = []
         self.estops: list[Received] = []
         self.estop_received_by: queue.Queue[str] = queue.Queue()
         """The thread of each, by its name."""
-        self._loop = asyncio.get_running_loop()
         self.owner = Ownership()
         self.inbox = Inbox(
             opened,
-            self._loop,
+            asyncio.get_running_loop(),
             self.owner,
-            on_wakeup=self.tick if takes else self.wake,
+            on_wakeup=self.tick if takes else self.woken.set,
             on_estop=self._stop,
             readers={LEASE: lambda _query, _ns, reply: partial(reply, b"read")},
             tokens={},
@@ -58,20 +57,10 @@ class Held:
     def tick(self) -> None:
         """Tick as owner, on any thread."""
         self.taken += [received.key for received in self.inbox.take()]
-        self.wake()
-
-    def wake(self) -> None:
-        self._loop.call_soon_threadsafe(self.wakeups.set)
 
     def _stop(self) -> None:
         while self.inbox.estops:
             self.estops.append(self.inbox.estops.popleft())
-        self.wake()
-
-    async def woken(self) -> None:
-        async with asyncio.timeout(PATIENCE_S):
-            await self.wakeups.wait()
-        self.wakeups.clear()
 
     async def until(self, condition: Callable[[], bool]) -> None:
         """Wait for what a receiver thread does beside the loop."""
@@ -117,7 +106,7 @@ async def test_an_emergency_stop_comes_before_all_that_was_taken_and_not_yet_dea
 ) -> None:
     for _ in range(4):
         session.put(LEG_1, b"{}")
-    await held.woken()
+    await held.until(held.woken.is_set)
     with held.owner:
         taking = iter(held.inbox.take())
         assert next(taking).key == LEG_1
@@ -194,7 +183,7 @@ async def test_an_instant_that_a_flood_left_open_is_closed_though_nothing_else_c
     rings = SimpleNamespace(read=lambda _keys: [], instant_open=True, passed_over=0)
     monkeypatch.setattr(held.inbox, "_rings", rings)
     assert list(held.inbox.take()) == []
-    await held.woken()
+    await held.until(held.woken.is_set)
 
 
 # ---- no message stays in its ring because its wakeup was lost, or because the state was owned meanwhile
