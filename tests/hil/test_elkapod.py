@@ -121,7 +121,7 @@ def start_all(robot: ElkapodBed, client: Client) -> None:
 # ---- start
 
 
-def test_elkapod_2025_begins_with_shutdowns_and_clocks_frames_in_which_nothing_moves(
+def test_elkapod_2025_begins_with_shutdowns_and_frames_in_which_nothing_moves(
     robot: ElkapodBed, client: Client
 ) -> None:
     robot.wait_for_count(ENOUGH, LATE_S)
@@ -143,9 +143,7 @@ def test_elkapod_2025_begins_with_shutdowns_and_clocks_frames_in_which_nothing_m
 # ---- Stops
 
 
-def test_stop_servos_needs_no_gateway_and_is_noticed_by_one(
-    robot: ElkapodBed, gateway: Gateway, client: Client
-) -> None:
+def test_stop_servos_needs_no_gateway_and_one_notices_it(robot: ElkapodBed, gateway: Gateway, client: Client) -> None:
     heard = events(client)
     start_all(robot, client)
     for count in range(2):

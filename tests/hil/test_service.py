@@ -238,9 +238,7 @@ def line(child: Child, name: str) -> str:
     return found
 
 
-def test_run_stop_servos_and_check_with_each_spidev_and_with_none(
-    tmp_path: Path, wire: Wire, env: dict[str, str]
-) -> None:
+def test_run_stop_servos_and_check_with_each_spidev_and_none(tmp_path: Path, wire: Wire, env: dict[str, str]) -> None:
     """`check` recognises a running gateway. It writes nothing, then or without one."""
     spi_testbed = wire.bed
     with Gateway(tmp_path, settings_for(wire), bed=spi_testbed, env=env) as gateway:

@@ -51,9 +51,7 @@ def changed(change: Callable[[dict[str, Any]], object]) -> str:
         (changed(lambda it: it["servos"]["11"].update(zero_deg=float("nan"))), "servos.11.zero_deg"),
     ],
 )
-def test_a_faulty_file_is_told_in_a_sentence_that_names_the_place(
-    tmp_path: Path, text: str | None, sentence: str
-) -> None:
+def test_a_faulty_file_is_a_sentence_that_names_the_place(tmp_path: Path, text: str | None, sentence: str) -> None:
     path = tmp_path / "robot.json"
     if text is not None:
         path.write_text(text)

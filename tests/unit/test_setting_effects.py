@@ -65,9 +65,7 @@ def test_where_nothing_is_set_the_supervisor_has_its_own_defaults() -> None:
         ({"limits": {"start_stagger_ms": 0}}, 0),
     ],
 )
-def test_legs_start_one_after_the_other_unless_a_power_board_or_the_wire_sees_to_it(
-    sections: dict[str, Any], pause_ms: float
-) -> None:
+def test_legs_start_in_turn_unless_a_board_or_the_wire_sees_to_it(sections: dict[str, Any], pause_ms: float) -> None:
     assert rules(Settings.of(sections)).start_pause_ns == pause_ms * MS
 
 

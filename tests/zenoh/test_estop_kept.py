@@ -43,9 +43,7 @@ def is_kept(folder: Path, number: int) -> bool:
 
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM])
-def test_an_emergency_stop_is_engaged_again_however_the_gateway_ended_until_a_reset(
-    tmp_path: Path, how: signal.Signals
-) -> None:
+def test_an_emergency_stop_outlasts_a_gateway_until_a_reset(tmp_path: Path, how: signal.Signals) -> None:
     state = tmp_path / "state"
     with start(tmp_path) as first, first.client() as client:
         assert press(client, "anna") == 1
@@ -72,9 +70,7 @@ def test_an_emergency_stop_is_engaged_again_however_the_gateway_ended_until_a_re
 
 
 @pytest.mark.parametrize("reset_before", [False, True])
-def test_where_the_answer_states_that_it_is_kept_a_kill_at_the_answer_leaves_it_engaged(
-    tmp_path: Path, reset_before: bool
-) -> None:
+def test_what_the_answer_states_to_be_kept_outlasts_a_kill_at_the_answer(tmp_path: Path, reset_before: bool) -> None:
     lost, kept = list[tuple[bool, KeptEstop]](), 0
     for trial in range(TRIALS):
         folder = tmp_path / str(trial)

@@ -101,9 +101,7 @@ async def test_a_message_without_a_wakeup_is_taken_within_a_beat(session: zenoh.
 # ---- the emergency stop
 
 
-async def test_an_emergency_stop_comes_before_all_that_was_taken_and_not_yet_dealt_with(
-    session: zenoh.Session, held: Held
-) -> None:
+async def test_an_emergency_stop_comes_before_what_was_taken_earlier(session: zenoh.Session, held: Held) -> None:
     for _ in range(4):
         session.put(LEG_1, b"{}")
     await held.until(held.woken.is_set)
@@ -121,9 +119,7 @@ async def test_an_emergency_stop_comes_before_all_that_was_taken_and_not_yet_dea
 
 
 @pytest.mark.parametrize("ask", [False, True], ids=["put", "get"])
-async def test_the_second_way_to_stop_does_not_wait_for_the_state(
-    session: zenoh.Session, held: Held, ask: bool
-) -> None:
+async def test_the_second_way_to_stop_never_waits_for_the_state(session: zenoh.Session, held: Held, ask: bool) -> None:
     """A transfer that hangs holds the state; the thread that receives the message calls before it waits for it."""
     with held.owner:
         asked = session.get(ESTOP, timeout=PATIENCE_S) if ask else session.put(ESTOP, b"")
@@ -177,9 +173,7 @@ async def test_each_thread_of_the_inbox_that_ends_is_noticed(held: Held, end: Ca
 # ---- wakeups
 
 
-async def test_an_instant_that_a_flood_left_open_is_closed_though_nothing_else_comes(
-    held: Held, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_an_instant_that_a_flood_left_open_is_closed(held: Held, monkeypatch: pytest.MonkeyPatch) -> None:
     rings = SimpleNamespace(read=lambda _keys: [], instant_open=True, passed_over=0)
     monkeypatch.setattr(held.inbox, "_rings", rings)
     assert list(held.inbox.take()) == []
@@ -278,7 +272,7 @@ async def test_whatever_the_order_all_are_looked_for_that_may_be_missed(counted:
 @pytest.mark.parametrize(
     ("waiting", "all_rings"), [(OTHER_DEPTH - 3, False), (OTHER_DEPTH - 2, True), (OTHER_DEPTH + 3, True)]
 )
-async def test_a_wakeup_that_may_have_lost_some_has_all_rings_read(
+async def test_a_wakeup_that_may_have_lost_some_reads_all_rings(
     counted: Counted, waiting: int, all_rings: bool
 ) -> None:
     """They include the messages missed before. All rings are polled once more, after the flood's next tick."""
@@ -296,7 +290,7 @@ async def test_a_wakeup_that_may_have_lost_some_has_all_rings_read(
     assert FURTHER in counted.taken
 
 
-async def test_what_was_passed_over_in_a_full_ring_and_what_names_no_key_of_ours_is_not_counted(
+async def test_a_full_ring_counts_what_it_passed_over_and_an_unknown_key_has_no_target(
     counted: Counted,
 ) -> None:
     for _ in range(LEAST_PUT_DEPTH):

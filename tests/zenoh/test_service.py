@@ -196,9 +196,7 @@ def systemd(tmp_path: Path) -> Iterator[socket.socket]:
 
 
 @pytest.mark.full
-def test_an_expiry_is_said_before_it_comes(
-    tmp_path: Path, systemd: socket.socket, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_expiry_is_announced_early(tmp_path: Path, systemd: socket.socket, monkeypatch: pytest.MonkeyPatch) -> None:
     made, port = dt.datetime.now(dt.UTC) - dt.timedelta(days=41, minutes=-1), free_port()
     with monkeypatch.context() as patch:
         patch.setattr(certs.folder, "now_utc", lambda: made)

@@ -104,9 +104,7 @@ def test_a_person_walks_stops_goes_on_also_after_a_takeover_and_leaves(gateway: 
     assert watcher.state().lease.holder is None
 
 
-def test_the_stop_key_works_when_the_terminal_takes_no_more_and_so_does_the_end(
-    gateway: Gateway, watcher: Client
-) -> None:
+def test_the_stop_key_and_the_end_work_when_the_terminal_takes_no_more(gateway: Gateway, watcher: Client) -> None:
     """A terminal that nobody reads: drawing blocks in the middle of a picture, and the key still stops the robot."""
     seen = states(watcher)
     with Terminal(gateway.endpoint) as terminal:
