@@ -18,8 +18,7 @@ from schemas.keys import leg_command
 from schemas.robot import LEGS
 from schemas.words import Kind, Mode, Reason
 from tests.benchmarks.processes import flooding
-from tests.net.hosts import NICE, PORT, TIMEOUT_MS, LaptopHost, RobotHost, is_command, is_stop
-from tests.net.namespaces import BUFFER_BYTES, Network
+from tests.net.hosts import BUFFER_BYTES, NICE, PORT, TIMEOUT_MS, LaptopHost, Network, RobotHost, is_command, is_stop
 from tests.support.child import Child, frozen
 from tests.support.gateway_process import COMMAND, Gateway, free_port
 

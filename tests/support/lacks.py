@@ -9,7 +9,7 @@ import pytest
 
 LACKS: Final = {
     "hil": "tests.hil.bed:missing_packages",
-    "net": "tests.net.namespaces:lacks",
+    "net": "tests.net.hosts:lacks",
     "systemd": "tests.box.box:lacks",
     "browser": "tests.console.browser:lacks",
     "other_browsers": "tests.console.other_browsers:lacks",
