@@ -13,8 +13,7 @@ from typing import Any, Final
 
 from tests.kernel import arm64
 from tests.kernel.inside.scenes import ALL, ARM64, SCENES
-from tests.kernel.machine import boot
-from tests.kernel.parts import Parts, PartsError, prepare
+from tests.kernel.machine import Parts, PartsError, boot, prepare
 
 
 def main() -> int:

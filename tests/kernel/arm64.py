@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Final
 
 from tests.box.installed import Packages
-from tests.kernel import parts as of
-from tests.kernel.parts import Parts, run
+from tests.kernel import machine as of
+from tests.kernel.machine import Parts, run
 from tests.support.runs import ENDS_WITH_US
 
 CACHE: Final = of.CACHE / "arm64"

@@ -11,7 +11,7 @@ from typing import Final
 import aiohttp
 
 from gateway.people.watching.camera import Camera, Picture, stream_parts
-from tests.kernel.parts import CACHE, LIBRARIES
+from tests.kernel.machine import CACHE, LIBRARIES
 
 PORT: Final = 8090
 URL: Final = f"http://127.0.0.1:{PORT}/stream?extra_headers=1"
