@@ -1,4 +1,4 @@
-"""What is released: built twice, equal to the byte; and the command of docs/robot.md for a download."""
+"""What is released: locked, built twice and equal to the byte; and the command of docs/robot.md for a download."""
 
 import io
 import json
