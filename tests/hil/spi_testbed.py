@@ -62,10 +62,19 @@ class Segment(NamedTuple):
 Emit = Callable[[dict[str, object]], None]
 
 
-class SpiController:
-    """The emulated bus and its faults. umockdev calls the handlers on its own thread, commands come on the main one."""
+class Testbed:
+    """The emulated node, its bus and their faults.
+
+    The control socket may ask for its methods without an underscore. umockdev calls the handlers on its own thread,
+    commands come on the main one.
+    """
 
     def __init__(self, emit: Emit) -> None:
+        import gi  # noqa: PLC0415
+
+        gi.require_version("UMockdev", "1.0")
+        from gi.repository import UMockdev  # noqa: PLC0415
+
         self._emit = emit
         self._lock = threading.Lock()
         self._clients: dict[Any, int] = {}  # every one that ever connected, numbered: umockdev wants them kept
@@ -79,6 +88,19 @@ class SpiController:
         self._chance = random.Random()  # noqa: S311  (faults, no secrets)
         self._calls = 0
         self._held: list[Callable[[], None]] = []
+        self._testbed = UMockdev.Testbed.new()
+        self._testbed.add_device("spidev", NODE, None, ["dev", "153:0"], ["DEVNAME", f"/dev/{NODE}"])
+        self._base = UMockdev.IoctlBase()
+        self._base.connect("client-connected", self._connected)
+        self._base.connect("handle-ioctl", self._handle_ioctl)
+        self._testbed.attach_ioctl(f"/dev/{NODE}", self._base)
+        self.root = Path(self._testbed.get_root_dir())
+        self._node = self.root / "dev" / NODE
+        self._sockets = self.root / "ioctl"
+        self._hidden = self.root / "ioctl.hidden"
+        self.restore_node()
+        preload = [PRELOAD, *filter(None, [os.environ.get("LD_PRELOAD")])]
+        emit({"is": "ready", "environment": {"UMOCKDEV_DIR": str(self.root), "LD_PRELOAD": ":".join(preload)}})
 
     def set(self, **faults: Any) -> None:
         """Change what holds for transfers from now on; what each means, and ends with, is in `tests/hil/bed.py`.
@@ -98,12 +120,30 @@ class SpiController:
         for answer in held:
             answer()
 
-    def shut_down(self) -> None:
-        """Take the device away: descriptors open now answer ESHUTDOWN for ever."""
+    def remove_node(self) -> None:
+        """Take the device away: opening finds nothing, open descriptors are dead. Not with a real device behind it."""
+        if Path("/dev", NODE).exists():
+            raise OSError(f"this machine has a real /dev/{NODE}, which the programs under test would open instead")
+        self._node.unlink(missing_ok=True)
+        # Without sockets umockdev lets an opening fail as it would; with them it keeps an entry for each one in a
+        # table of 50, and then aborts the child. One between open() and connect(), microseconds, still needs them.
+        time.sleep(0.01)
+        if self._sockets.exists():
+            self._sockets.rename(self._hidden)
         with self._lock:
             self._gone_before = len(self._clients)
 
-    def connected(self, _base: object, client: Any) -> None:
+    def restore_node(self) -> None:
+        """Bring the device back, as a new node (locks on the old one do not hold it)."""
+        if self._hidden.exists():
+            self._hidden.rename(self._sockets)
+        if not self._node.exists():
+            fresh = self._node.with_name(f".{NODE}")
+            fresh.touch()
+            fresh.rename(self._node)
+        self._node.chmod(0o660)
+
+    def _connected(self, _base: object, client: Any) -> None:
         """Number the client. No opening yet: umockdev connects also after an open() that failed."""
         with self._lock:
             self._clients[client] = len(self._clients) + 1
@@ -116,7 +156,7 @@ class SpiController:
             self._openings[client] = len(self._openings) + 1
         return self._openings[client]
 
-    def handle_ioctl(self, _base: object, client: Any) -> bool:
+    def _handle_ioctl(self, _base: object, client: Any) -> bool:
         now_ns = time.monotonic_ns()
         request = client.get_request()
         size, magic, number = request >> 16 & 0x3FFF, request >> 8 & 0xFF, request & 0xFF
@@ -240,62 +280,6 @@ def _answer(client: Any, result: int, code: int) -> None:
     client.complete(-1 if code else result, code)
 
 
-class Testbed:
-    """The emulated node, its settings and its faults; `commands` is what the control socket may ask for."""
-
-    def __init__(self, emit: Emit) -> None:
-        import gi  # noqa: PLC0415
-
-        gi.require_version("UMockdev", "1.0")
-        from gi.repository import UMockdev  # noqa: PLC0415
-
-        self._controller = SpiController(emit)
-        self._testbed = UMockdev.Testbed.new()
-        self._testbed.add_device("spidev", NODE, None, ["dev", "153:0"], ["DEVNAME", f"/dev/{NODE}"])
-        self._base = UMockdev.IoctlBase()
-        self._base.connect("client-connected", self._controller.connected)
-        self._base.connect("handle-ioctl", self._controller.handle_ioctl)
-        self._testbed.attach_ioctl(f"/dev/{NODE}", self._base)
-        self.root = Path(self._testbed.get_root_dir())
-        self._node = self.root / "dev" / NODE
-        self._sockets = self.root / "ioctl"
-        self._hidden = self.root / "ioctl.hidden"
-        self.restore_node()
-        self.commands: dict[str, Callable[..., None]] = {
-            "set": self._controller.set,
-            "release": self._controller.release,
-            "remove_node": self.remove_node,
-            "restore_node": self.restore_node,
-        }
-
-    @property
-    def environment(self) -> dict[str, str]:
-        preload = [PRELOAD, *filter(None, [os.environ.get("LD_PRELOAD")])]
-        return {"UMOCKDEV_DIR": str(self.root), "LD_PRELOAD": ":".join(preload)}
-
-    def remove_node(self) -> None:
-        """Take the device away: opening finds nothing, open descriptors are dead. Not with a real device behind it."""
-        if Path("/dev", NODE).exists():
-            raise OSError(f"this machine has a real /dev/{NODE}, which the programs under test would open instead")
-        self._node.unlink(missing_ok=True)
-        # Without sockets umockdev lets an opening fail as it would; with them it keeps an entry for each one in a
-        # table of 50, and then aborts the child. One between open() and connect(), microseconds, still needs them.
-        time.sleep(0.01)
-        if self._sockets.exists():
-            self._sockets.rename(self._hidden)
-        self._controller.shut_down()
-
-    def restore_node(self) -> None:
-        """Bring the device back, as a new node (locks on the old one do not hold it)."""
-        if self._hidden.exists():
-            self._hidden.rename(self._sockets)
-        if not self._node.exists():
-            fresh = self._node.with_name(f".{NODE}")
-            fresh.touch()
-            fresh.rename(self._node)
-        self._node.chmod(0o660)
-
-
 def serve(channel: socket.socket) -> None:
     """Obey the test kit until it closes its end."""
     write_lock = threading.Lock()
@@ -306,13 +290,12 @@ def serve(channel: socket.socket) -> None:
 
     bed = Testbed(emit)
     try:
-        emit({"is": "ready", "environment": bed.environment})
         for line in channel.makefile("r", encoding="utf-8"):
             request: dict[str, Any] = json.loads(line)
             number, name = request.pop("id"), request.pop("do")
             error = None
             try:
-                bed.commands[name](**request)
+                getattr(bed, name)(**request)
             except (OSError, ValueError) as reason:
                 error = str(reason)
             if number:
