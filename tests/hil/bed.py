@@ -3,7 +3,7 @@
     with SpiTestbed() as bed:
         gateway = bed.spawn(["hexapod-gateway", "run", "--config", "gateway.toml"])
         bed.wait_for_count(6)                            # the six Stops of the start
-        bed.fail(errno.EIO, count=1)
+        bed.fail(errno.EIO)
         ...
         gateway.kill()
         bed.spawn(["hexapod-gateway", "stop-servos"])    # the same device, the next program
@@ -13,7 +13,6 @@ and all earlier ones are in `transfers`. Waits are for events and end after `tim
 into `asyncio.to_thread`.
 """
 
-import errno as errors
 import importlib.util
 import json
 import os
@@ -104,7 +103,8 @@ class SpiTestbed(Closing):
         self._changed = threading.Condition()
         self._events: list[Event] = []
         self._replies: dict[int, str | None] = {}
-        self._ready: dict[str, str] | None = None
+        self.environment: dict[str, str] = {}
+        """The variables of programs on the device."""
         self._ended = False
         self._requests = 0
         self._children: list[Child] = []
@@ -118,7 +118,7 @@ class SpiTestbed(Closing):
             )
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
-        if not self._wait(lambda: self._ready is not None, REPLY_TIMEOUT_S):
+        if not self._wait(lambda: bool(self.environment), REPLY_TIMEOUT_S):
             raise RuntimeError(f"the emulated device did not start: {self.close()}")
 
     def close(self) -> str:
@@ -135,11 +135,6 @@ class SpiTestbed(Closing):
         self._reader.join(REPLY_TIMEOUT_S)
         self._channel.close()
         return said
-
-    @property
-    def environment(self) -> dict[str, str]:
-        assert self._ready is not None
-        return dict(self._ready)
 
     def prefer(self) -> None:
         """Let the emulation come before others, if allowed: it stands for hardware, which no load slows."""
@@ -199,18 +194,18 @@ class SpiTestbed(Closing):
         with self._changed:
             return None if self._ended else self._events[since:]
 
-    def fail(self, errno: int = errors.EIO, count: int | None = None, *, after: int = 0) -> None:
-        """`after` so many, the next `count` transfers answer `errno`; with None, all of them until `heal`.
+    def fail(self, errno: int, *, after: int = 0) -> None:
+        """Let all transfers but the next `after` answer `errno`, until `heal`.
 
         In a list of transfers, those before it are on the wire, and those behind it are not.
         """
-        self._command("set", errno=errno, left=count, after=after)
+        self._command("set", errno=errno, after=after)
 
     def fail_by_chance(self, share: float, seed: int) -> None:
         """Let each transfer fail with this probability, until `heal`."""
         self._command("set", share=share, seed=seed)
 
-    def reject_lists(self, errno: int = errors.EINVAL) -> None:
+    def reject_lists(self, errno: int) -> None:
         """Take no lists of transfers, as some kernels: calls of more than one answer `errno`."""
         self._command("set", list_errno=errno)
 
@@ -219,7 +214,7 @@ class SpiTestbed(Closing):
         self._command("set", ignores_cs_change=True)
 
     def heal(self) -> None:
-        self._command("set", left=0, share=0.0)
+        self._command("set", errno=0, share=0.0)
 
     def block(self) -> None:
         """Answer transfers only by `release` from now on. Each is recorded as it arrives."""
@@ -272,7 +267,7 @@ class SpiTestbed(Closing):
         kind = record.pop("is")
         with self._changed:
             if kind == "ready":
-                self._ready = record["environment"]
+                self.environment = record["environment"]
             elif kind == "reply":
                 self._replies[record["id"]] = record["error"]
             else:

@@ -82,7 +82,7 @@ class Testbed:
         self._gone_before = 0  # clients up to this number hold a descriptor of a device that was removed
         self._mode, self._bits, self._speed_hz = 0, 8, DEFAULT_SPEED_HZ
         self._faults: dict[str, Any] = {
-            **{"errno": 0, "left": 0, "after": 0, "share": 0.0, "list_errno": 0},
+            **{"errno": 0, "after": 0, "share": 0.0, "list_errno": 0},
             **{"ignores_cs_change": False, "blocking": False, "answer": ""},
         }
         self._chance = random.Random()  # noqa: S311  (faults, no secrets)
@@ -239,13 +239,11 @@ class Testbed:
     def _verdict(self) -> int:
         """Return what becomes of the next transfer."""
         faults = self._faults
-        if faults["left"] == 0:
+        if not faults["errno"]:
             return errno.EIO if faults["share"] and self._chance.random() < faults["share"] else 0
         if faults["after"]:
             faults["after"] -= 1
             return 0
-        if faults["left"] is not None:
-            faults["left"] -= 1
         return int(faults["errno"])
 
     def _read_setting(self, client: Any, argument: Any, number: int, size: int) -> None:
