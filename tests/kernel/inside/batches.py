@@ -172,7 +172,7 @@ HANG_MS = 3000
 def fails_at_once() -> str:
     """The third frame of six Stops fails with EIO."""
     with bus(Framing.PLAIN) as ours:
-        wire.give(fail_in=3, fail_err=errno.EIO)
+        wire.give(fail_in=3)
         report = ours.write(STOPS)
     assert report.fault is not None, "no fault"
     assert wire.messages()[0].status == -errno.EIO

@@ -8,13 +8,13 @@ from typing import Final, NamedTuple
 DEVICE: Final = "/dev/spidev0.0"
 LOG: Final = Path("/sys/kernel/debug/spirec/log")
 PARAMETERS: Final = Path("/sys/module/spirec/parameters")
-ASSERTED, RELEASED, BEGIN, END, SETUP, PREPARE, UNPREPARE, LOST = range(1, 9)
-_RECORD: Final = struct.Struct("=QIIIHBxhBxH2x16x16s")
+ASSERTED, RELEASED, BEGIN, END, PREPARE, UNPREPARE, LOST = range(1, 8)
+_RECORD: Final = struct.Struct("=QIIIHBBhH20s")
 _FAULTS: Final = ("fail_in", "lose_in", "lose_zeros", "hang_in", "xfer_sleep_us")
 
 
 class Record(NamedTuple):
-    """`struct rec` of the module, as far as a scene looks at it."""
+    """`struct rec` of the module."""
 
     ns: int
     process: int
@@ -22,8 +22,8 @@ class Record(NamedTuple):
     mode: int
     size: int
     kind: int
-    result: int
     bits: int
+    result: int
     delay_us: int
     data: bytes
 
@@ -75,7 +75,7 @@ def give(**parameters: int) -> None:
 
 
 def heal() -> None:
-    give(**dict.fromkeys(_FAULTS, 0), fail_count=1, lose_count=1)
+    give(**dict.fromkeys(_FAULTS, 0))
 
 
 def records() -> list[Record]:
@@ -89,30 +89,25 @@ def messages() -> list[Message]:
     for each in records():
         if each.kind == PREPARE:
             found.append(Message())
-        elif each.kind != SETUP and found and not found[-1].unprepared_ns:
+        elif found and not found[-1].unprepared_ns:
             _note(found[-1], each)
     return found
 
 
 def _note(message: Message, record: Record) -> None:
     last = message.transfers[-1] if message.transfers else None
-    match record.kind:
-        case 3:
-            asserted_ns = message.edges[-1][1] if message.edges and message.edges[-1][0] else 0
-            message.transfers.append(
-                Transfer(
-                    record.data[: record.size], record.speed_hz, record.bits, record.mode, record.delay_us,
-                    record.ns, asserted_ns,
-                )
-            )  # fmt: skip
-        case 4 if last is not None:
-            last.end_ns, last.result = record.ns, record.result
-        case 1 | 2:
-            message.edges.append((record.kind == ASSERTED, record.ns))
-            if record.kind == RELEASED and last is not None and not last.released_ns:
-                last.released_ns = record.ns
-        case 7:
-            message.status, message.unprepared_ns = record.result, record.ns
+    if record.kind == BEGIN:
+        asserted_ns = message.edges[-1][1] if message.edges and message.edges[-1][0] else 0
+        data, setting = record.data[: record.size], (record.speed_hz, record.bits, record.mode)
+        message.transfers.append(Transfer(data, *setting, record.delay_us, record.ns, asserted_ns))
+    elif record.kind == END and last is not None:
+        last.end_ns, last.result = record.ns, record.result
+    elif record.kind in (ASSERTED, RELEASED):
+        message.edges.append((record.kind == ASSERTED, record.ns))
+        if record.kind == RELEASED and last is not None and not last.released_ns:
+            last.released_ns = record.ns
+    elif record.kind == UNPREPARE:
+        message.status, message.unprepared_ns = record.result, record.ns
 
 
 def passed() -> list[Transfer]:

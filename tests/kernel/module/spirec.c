@@ -1,49 +1,38 @@
 // SPDX-License-Identifier: GPL-2.0
 // A SPI controller without hardware, with two spidev children: it records what it is asked to do, in order.
 //
-// The log is /sys/kernel/debug/spirec/log, an array of struct rec (tests/kernel/wire.py reads it); writing to it
+// The log is /sys/kernel/debug/spirec/log, an array of struct rec (tests/kernel/inside/wire.py reads it); writing to it
 // empties it. The parameters make it fail, lose, hang or take longer; transfers are counted from 1.
 #include <linux/debugfs.h>
 #include <linux/delay.h>
 #include <linux/ktime.h>
 #include <linux/module.h>
 #include <linux/platform_device.h>
-#include <linux/random.h>
 #include <linux/sched.h>
 #include <linux/spi/spi.h>
 #include <linux/uaccess.h>
 #include <linux/vmalloc.h>
 
-enum { ASSERTED = 1, RELEASED, BEGIN, END, SETUP, PREPARE, UNPREPARE, LOST };
+enum { ASSERTED = 1, RELEASED, BEGIN, END, PREPARE, UNPREPARE, LOST };
 
 struct rec {
 	u64 ns;
 	u32 pid, speed, mode;
 	u16 len;
-	u8 type, cs;
+	u8 type, bits;
 	s16 ret;
-	u8 bits, prio;
-	u16 delay_us, cschg;
-	char comm[16];
-	u8 data[16];
+	u16 delay_us;
+	u8 data[20];
 };
 #define NREC (1 << 19)
 
 static struct rec *log;
 static atomic_t head = ATOMIC_INIT(0);
 
-static int wire = 1;		/* take the time that the bits would take */
-module_param(wire, int, 0644);
-static int fail_in;		/* this transfer from now on fails at once, with fail_err; fail_count in a row */
+static int fail_in;		/* this transfer from now on fails at once: EIO */
 module_param(fail_in, int, 0644);
-static int fail_count = 1;
-module_param(fail_count, int, 0644);
-static int fail_err = 5;
-module_param(fail_err, int, 0644);
-static int lose_in;		/* this transfer never ends, so that spi.c gives up on it: ETIMEDOUT; lose_count in a row */
+static int lose_in;		/* this transfer never ends, so that spi.c gives up on it: ETIMEDOUT */
 module_param(lose_in, int, 0644);
-static int lose_count = 1;
-module_param(lose_count, int, 0644);
 static int lose_zeros;		/* so do all transfers of one zero byte */
 module_param(lose_zeros, int, 0644);
 static int hang_in;		/* this transfer stands still for hang_ms in the driver, and then passes */
@@ -68,9 +57,6 @@ static struct rec *put(int type, struct spi_device *spi)
 	memset(r, 0, sizeof(*r));
 	r->type = type;
 	r->pid = current->tgid;
-	r->prio = current->prio < 100 ? 99 - current->prio : 0;
-	memcpy(r->comm, current->comm, sizeof(r->comm));
-	r->cs = spi->chip_select;
 	r->mode = spi->mode;
 	r->ns = ktime_get_ns();
 	return r;
@@ -81,27 +67,9 @@ static void rec_set_cs(struct spi_device *spi, bool level)
 	put(level ? RELEASED : ASSERTED, spi);
 }
 
-static int rec_setup(struct spi_device *spi)
-{
-	struct rec *r = put(SETUP, spi);
-
-	if (r) {
-		r->speed = spi->max_speed_hz;
-		r->bits = spi->bits_per_word;
-	}
-	return 0;
-}
-
 static int rec_prepare(struct spi_controller *c, struct spi_message *m)
 {
-	struct rec *r = put(PREPARE, m->spi);
-	struct spi_transfer *t;
-	int n = 0;
-
-	list_for_each_entry(t, &m->transfers, transfer_list)
-		n++;
-	if (r)
-		r->len = n;
+	put(PREPARE, m->spi);
 	return 0;
 }
 
@@ -114,15 +82,9 @@ static int rec_unprepare(struct spi_controller *c, struct spi_message *m)
 	return 0;
 }
 
-static bool counted(int *in, int *count)
+static bool is_this(int *in)
 {
-	if (*in <= 0 || --*in)
-		return false;
-	if (*count > 1) {
-		--*count;
-		*in = 1;
-	}
-	return true;
+	return *in > 0 && --*in == 0;
 }
 
 static int rec_one(struct spi_controller *c, struct spi_device *spi, struct spi_transfer *t)
@@ -137,33 +99,28 @@ static int rec_one(struct spi_controller *c, struct spi_device *spi, struct spi_
 		r->len = t->len;
 		r->bits = t->bits_per_word;
 		r->delay_us = t->delay.value;
-		r->cschg = t->cs_change;
 		if (t->tx_buf)
 			memcpy(r->data, t->tx_buf, min_t(u32, t->len, sizeof(r->data)));
 	}
-	if (counted(&lose_in, &lose_count) || (lose_zeros && t->len == 1 && t->tx_buf && !*(u8 *)t->tx_buf)) {
-		r = put(LOST, spi);
-		if (r)
-			r->len = t->len;
+	if (is_this(&lose_in) || (lose_zeros && t->len == 1 && t->tx_buf && !*(u8 *)t->tx_buf)) {
+		put(LOST, spi);
 		return 1;	/* "it is under way" */
 	}
-	if (hang_in > 0 && --hang_in == 0)
+	if (is_this(&hang_in))
 		msleep(hang_ms);
-	if (counted(&fail_in, &fail_count))
-		ret = -fail_err;
+	if (is_this(&fail_in))
+		ret = -EIO;
 	if (!ret) {
 		if (xfer_sleep_us)
 			usleep_range(xfer_sleep_us, xfer_sleep_us + 10);
-		while (wire && ktime_get_ns() < end)
+		while (ktime_get_ns() < end)
 			cpu_relax();
 		if (t->rx_buf)
 			memset(t->rx_buf, 0, t->len);
 	}
 	r = put(END, spi);
-	if (r) {
+	if (r)
 		r->ret = ret;
-		r->len = t->len;
-	}
 	return ret;
 }
 
@@ -196,7 +153,6 @@ static int rec_probe(struct platform_device *p)
 	ctl->mode_bits = SPI_CPHA | SPI_CPOL;
 	ctl->bits_per_word_mask = SPI_BPW_MASK(8) | SPI_BPW_MASK(16);
 	ctl->max_speed_hz = 20000000;
-	ctl->setup = rec_setup;
 	ctl->set_cs = rec_set_cs;
 	ctl->transfer_one = rec_one;
 	ctl->prepare_message = rec_prepare;
