@@ -1,13 +1,9 @@
-"""Every key and every verb, through the real Zenoh from one process to another; floods and streams."""
+"""Every key and every verb, through the real Zenoh from one process to another; and floods."""
 
 import json
-import subprocess
-import sys
 import time
 from contextlib import closing
-from pathlib import Path
 from queue import SimpleQueue
-from typing import Final
 
 import pytest
 import zenoh
@@ -24,14 +20,13 @@ from gateway.zenoh.config import client_config, open_session
 from schemas import keys
 from schemas.ack import Ack
 from schemas.event import FrameRecord
-from schemas.gateway_state import GatewayState
 from schemas.keys import STATE, TELEMETRY
-from schemas.robot import LEGS, SERVO_IDS
+from schemas.robot import SERVO_IDS
 from schemas.telemetry import Telemetry
 from schemas.words import Cause, Kind, Mode
 from tests.support.fixtures import client_fixture, gateway_fixture
 from tests.support.gateway_process import Gateway, free_port
-from tests.support.heard import events, frames, last_angles, servos_on, states
+from tests.support.heard import events, frames, servos_on
 from tests.support.waiting import wait_until
 
 START = leg_payload("start", (90, 45, 120))
@@ -149,75 +144,3 @@ def test_what_is_measured_is_published_while_somebody_listens_and_answered(speak
         assert answered is not None
         assert answered.time >= published.time
         assert answered.imu is not None
-
-
-# ---- ordinary programs without `sent_ms`: each message is taken, and each leg moves
-
-
-LEG: Final = {"servos": [{"op": "OP", "angle_deg": angle_deg} for angle_deg in (90, 45, 120)]}
-SENT: Final[dict[str, dict[str, object]]] = {
-    "legs": {keys.LEGS_COMMAND: {"legs": {str(leg): LEG for leg in LEGS}}},
-    "one leg": {keys.leg_command(1): LEG},
-    "six legs": {keys.leg_command(leg): LEG for leg in LEGS},
-    "a servo": {keys.servo_command(11): LEG["servos"][0]},
-}
-"""The payload on each key; OP becomes `start` or `set`."""
-PROGRAM: Final = """
-import json, sys, time, zenoh
-
-endpoint, rate_hz, verb, express, sent = json.loads(sys.argv[1])
-config = zenoh.Config()
-config.insert_json5("mode", '"client"')
-config.insert_json5("connect/endpoints", json.dumps([endpoint]))
-with zenoh.open(config) as session:
-    puts, gets = 0, []
-    for number in range(rate_hz):
-        for key, (start, then) in sent.items():
-            payload = then if number else start
-            if verb == "put":
-                session.put(key, payload, express=express, congestion_control=zenoh.CongestionControl.BLOCK)
-                puts += 1
-            else:
-                gets.append(session.get(key, payload=payload))
-        time.sleep(1 / rate_hz)
-    list(session.get("hexapod/state"))  # behind all puts: none is lost at the session's end
-    print(puts + sum(len(list(replies)) for replies in gets))  # a get that others displaced has none
-"""
-
-
-def counts(state: GatewayState) -> tuple[int, ...]:
-    commands = state.commands
-    return commands.accepted, commands.rejected, commands.passed_over, commands.lost
-
-
-@pytest.mark.full
-@pytest.mark.parametrize(
-    ("name", "rate_hz", "then", "verb", "express"),
-    [
-        ("legs", 200, "set", "put", False),
-        ("legs", 1000, "start", "get", True),
-        ("one leg", 50, "start", "put", True),
-        ("one leg", 300, "set", "get", False),
-        ("one leg", 1000, "set", "put", True),
-        ("six legs", 50, "set", "get", False),
-        ("six legs", 200, "start", "put", False),
-        ("six legs", 300, "set", "put", True),
-        ("a servo", 200, "start", "get", False),
-        ("a servo", 1000, "set", "put", False),
-    ],
-)
-def test_a_stream_of_any_rate_moves_the_robot(
-    tmp_path: Path, name: str, rate_hz: int, then: str, verb: str, express: bool
-) -> None:
-    """A second of it is sent. `coalesced` shows that it is thinned to the rate of the legs, not refused."""
-    sent = {key: [json.dumps(each).replace("OP", op) for op in ("start", then)] for key, each in SENT[name].items()}
-    settings: dict[str, dict[str, object]] = {"telemetry": {"frames": True}, "watchdog": {"timeout_ms": 2000}}
-    with Gateway(tmp_path, settings) as gateway, gateway.client() as watcher:
-        heard, counted = frames(watcher), states(watcher, kept=20)
-        argument = json.dumps([gateway.endpoint, rate_hz, verb, express, sent])
-        count = int(subprocess.check_output([sys.executable, "-c", PROGRAM, argument], timeout=60))
-        counted.wait(lambda state: sum(counts(state)) == count)
-        assert watcher.state().commands.rejected == 0
-        legs = set(LEGS) if "legs" in name else {1}
-        heard.wait_for_all(lambda records: {servo_id // 10 for servo_id in last_angles(records)} == legs)
-        assert watcher.state().commands.coalesced > 0 or rate_hz == 50
