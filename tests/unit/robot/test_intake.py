@@ -196,9 +196,7 @@ def test_angles_are_rounded_to_the_nearest_hundredth(angle: str, cdeg: int) -> N
 
 @pytest.mark.parametrize(
     "encoding",
-    [
-        *("application/json ;x=1;y", "zenoh/bytes", "application/ld+json; profile=a", "application/json-patch+json"),
-    ],
+    ["application/json ;x=1;y", "zenoh/bytes", "application/ld+json; profile=a", "application/json-patch+json"],
 )
 def test_json_by_its_other_names(encoding: str) -> None:
     assert decode(SERVO_32, as_json(STOP), encoding) == Intent(((32, STOP_OP),))
