@@ -22,7 +22,6 @@ from tests.support.heard import events
 
 SETTINGS = {"watchdog": {"timeout_ms": 10_000}, "limits": {"leg_rate_hz": 1000}}
 TRIES = 160
-BLOCK = zenoh.CongestionControl.BLOCK
 KEYS = {"legs": LEGS_COMMAND, "leg": leg_command(1), "servo": servo_command(11)}
 START, STOP = leg_payload("start", (90, 90, 90)), leg_payload("stop")
 STARTS = {"legs": {"legs": {"1": START}}, "leg": START, "servo": servo_payload("start", 90)}
@@ -33,16 +32,22 @@ WAYS = [(key, verb) for key in KEYS for verb in ("put", "get")]
 PAIRS = [(start, stop) for start in WAYS for stop in [*WAYS, *((key, "delete") for key in KEYS)] if start != stop]
 
 
+def put(client: Client, key: str, payload: dict[str, Any]) -> None:
+    """Put it at once. `Client.publish` drops what the sender's own full queue has no room for."""
+    block = zenoh.CongestionControl.BLOCK
+    client.session.put(key, json.dumps(payload), express=True, congestion_control=block)
+
+
 def send(client: Client, way: Way, payloads: dict[str, Any]) -> None:
-    """Send without waiting for an answer. A put is not dropped if the sender's own queue is full."""
+    """Send without waiting for an answer."""
     key, verb = way
     match verb:
         case "put":
-            client.session.put(KEYS[key], json.dumps(payloads[key]), express=True, congestion_control=BLOCK)
+            put(client, KEYS[key], payloads[key])
         case "get":
             client.session.get(KEYS[key], lambda _: None, payload=json.dumps(payloads[key]))
         case "delete":
-            client.session.delete(KEYS[key], express=True, congestion_control=BLOCK)
+            client.session.delete(KEYS[key], express=True, congestion_control=zenoh.CongestionControl.BLOCK)
 
 
 def overtaken(client: Client, pairs: list[tuple[Way, Way]], tries: int) -> Counter[tuple[Way, Way]]:
@@ -113,13 +118,7 @@ def test_no_stop_among_what_was_held_back_is_lost(tmp_path: Path, key: str) -> N
             assert any(watcher.start_leg(3, *POSE, check=False).accepted for _ in range(100))
             link.hold()
             for number in range(COUNT):
-                # Not `Client.publish`: which drops what its own full queue has no room for.
-                laptop.session.put(
-                    key,
-                    json.dumps(stop if number == place else setpoint),
-                    express=True,
-                    congestion_control=zenoh.CongestionControl.BLOCK,
-                )
+                put(laptop, key, stop if number == place else setpoint)
             link.fix()
             laptop.state()  # on the same link, behind all that was held back
             assert not laptop.set_leg(3, *POSE, check=False).accepted, f"it runs, and the {place}th was a Stop"
@@ -133,9 +132,7 @@ def test_each_message_is_counted_once(tmp_path: Path, count: int, exact: bool) -
     with Gateway(tmp_path) as gateway, CutLink(gateway.endpoint) as link, Client(link.endpoint) as laptop:
         link.hold()
         for _ in range(count):
-            laptop.session.put(
-                key, json.dumps(SENT[key][0]), express=True, congestion_control=zenoh.CongestionControl.BLOCK
-            )
+            put(laptop, key, SENT[key][0])
         link.fix()
         assert not laptop.set_leg(3, *POSE, check=False).accepted  # on the same link, after all that was held back
         counts = laptop.state().commands

@@ -13,7 +13,7 @@ from gateway.robot.core.rules import Rules
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.service import rules
 from gateway.robot.settings import Settings
-from tests.support.scenes import play, scene_test
+from tests.support.scenes import play
 
 LIMITED: Final = "rules min_battery_mv=7000, max_tilt_cdeg=3000\n 5 body 0\n 10 leg 3 start 90\n"
 """Leg 3 runs since 10 ms, on a robot with a limit for its battery (7 V) and for its tilt (30 degrees)."""
@@ -24,9 +24,11 @@ def test_with_one_limit_measurements_are_wanted(limit: dict[str, Any]) -> None:
     assert Supervisor(Rules(**limit)).body.watches
 
 
-SCENES: Final = {
-    # ---- the battery
-    "a low battery starts nothing and what runs goes on": """
+# ---- the battery
+
+
+def test_a_low_battery_starts_nothing_and_what_runs_goes_on() -> None:
+    play(f"""{LIMITED}
         20 body 0 (battery 6.99) → announce battery_low
         announces the battery is at 6.99 V, below 7 V; nothing starts until it is charged
         30 servo 11 start 90 → rejected 2 battery_low
@@ -34,8 +36,11 @@ SCENES: Final = {
         40 leg 3 set 80 → command 3 set 80; completed 3
         70 leg 3 start 70 → command 3 start 70; completed 4  # it runs already
         80 leg 3 stop → command 3 stop; completed 5
-        90 leg 3 start 90 → rejected 6 battery_low""",
-    "a voltage that jitters is announced once": """
+        90 leg 3 start 90 → rejected 6 battery_low""")
+
+
+def test_a_voltage_that_jitters_is_announced_once() -> None:
+    play(f"""{LIMITED}
         20 body 0 (battery 6.9) → announce battery_low
         40 body 0 (battery 7.0) → nothing
         60 body 0 (battery 6.9) → nothing
@@ -45,44 +50,7 @@ SCENES: Final = {
         120 body 0 (battery 7.14)
         130 leg 4 start 90 → command 4 start 90; completed 3
         140 body 0 (battery 7.0) → nothing
-        160 body 0 (battery 6.999) → announce battery_low""",
-    # ---- the body
-    "until it stands again nothing moves and a stop is taken": """
-        20 body 31
-        230 body 31
-        240 leg 3 start 90 → rejected 2 fallen
-        says the body is tilted beyond 30 degrees; put it upright, and start it again
-        250 leg 3 stop → command 3 stop; …
-        260 body unknown → nothing
-        270 leg 3 start 90 → rejected 4 fallen  # unknown is not upright
-        280 body 30 → nothing
-        running none  # it stands, and nothing starts by itself
-        290 leg 3 start 90 → command 3 start 90; completed 5""",
-    "an unknown tilt neither begins nor ends the time": """
-        20 body unknown → nothing
-        230 body unknown → nothing
-        240 leg 3 set 90
-        250 body 31
-        260 body unknown → nothing
-        450 body unknown → watchdog 1-6 stop; announce fallen""",
-    "measurements of a bus at fault are kept": """
-        20 fail
-        30 body 170 (battery 6)
-        240 body 170 (battery 6) → announce fallen
-        250 open
-        260 leg 3 start 90 → rejected 2 fallen""",
-    # ---- a controller that does not answer
-    "a silent controller is a fault and its return is announced as that": """
-        20 fail controller_silent → announce controller_silent
-        mode bus_fault
-        30 leg 3 set 90 → rejected 2 bus_fault
-        40 open → startup 1-6 stop; announce controller_returned
-        announces the controller answers again; all servos are stopped
-        50 fail → announce bus_fault
-        60 fail controller_silent → nothing  # a fault is announced once
-        70 open → startup 1-6 stop; announce bus_recovered""",
-}
-test_a_scene = scene_test(SCENES, LIMITED)
+        160 body 0 (battery 6.999) → announce battery_low""")
 
 
 def test_a_battery_that_was_not_measured_yet_starts_nothing() -> None:
@@ -92,6 +60,9 @@ def test_a_battery_that_was_not_measured_yet_starts_nothing() -> None:
         20 leg 3 stop → command 3 stop; …
         30 body unknown
         40 leg 3 start 90 → command 3 start 90; …""")
+
+
+# ---- the body
 
 
 def test_a_body_that_is_tilted_for_200_ms_is_stopped() -> None:
@@ -106,6 +77,30 @@ def test_a_body_that_is_tilted_for_200_ms_is_stopped() -> None:
     assert deadlines_ns == {(60_000 + 220) * NS_PER_MS}
 
 
+def test_until_it_stands_again_nothing_moves_and_a_stop_is_taken() -> None:
+    play(f"""{LIMITED}
+        20 body 31
+        230 body 31
+        240 leg 3 start 90 → rejected 2 fallen
+        says the body is tilted beyond 30 degrees; put it upright, and start it again
+        250 leg 3 stop → command 3 stop; …
+        260 body unknown → nothing
+        270 leg 3 start 90 → rejected 4 fallen  # unknown is not upright
+        280 body 30 → nothing
+        running none  # it stands, and nothing starts by itself
+        290 leg 3 start 90 → command 3 start 90; completed 5""")
+
+
+def test_an_unknown_tilt_neither_begins_nor_ends_the_time() -> None:
+    play(f"""{LIMITED}
+        20 body unknown → nothing
+        230 body unknown → nothing
+        240 leg 3 set 90
+        250 body 31
+        260 body unknown → nothing
+        450 body unknown → watchdog 1-6 stop; announce fallen""")
+
+
 def test_where_a_landing_is_configured_it_lands() -> None:
     steps = play(f"""{LIMITED.replace("rules", "rules landing_ms=1000,")}
         20 body 31
@@ -117,6 +112,15 @@ def test_where_a_landing_is_configured_it_lands() -> None:
         1220 time → watchdog 1-6 stop; announce watchdog_expired""")
 
 
+def test_measurements_of_a_bus_at_fault_are_kept() -> None:
+    play(f"""{LIMITED}
+        20 fail
+        30 body 170 (battery 6)
+        240 body 170 (battery 6) → announce fallen
+        250 open
+        260 leg 3 start 90 → rejected 2 fallen""")
+
+
 def test_the_settings_are_the_rules() -> None:
     settings = {"wire": {"name": "elkapod-2025"}, "safety": {"min_battery_v": 6.6, "max_tilt_deg": 45}}
     made = rules(Settings.of(settings))
@@ -125,3 +129,18 @@ def test_the_settings_are_the_rules() -> None:
     assert made.stops_whole
     default = rules(Settings())
     assert (default.min_battery_mv, default.max_tilt_cdeg, default.starts_whole, default.stops_whole) == (0,) * 4
+
+
+# ---- a controller that does not answer
+
+
+def test_a_silent_controller_is_a_fault_and_its_return_is_announced_as_that() -> None:
+    play(f"""{LIMITED}
+        20 fail controller_silent → announce controller_silent
+        mode bus_fault
+        30 leg 3 set 90 → rejected 2 bus_fault
+        40 open → startup 1-6 stop; announce controller_returned
+        announces the controller answers again; all servos are stopped
+        50 fail → announce bus_fault
+        60 fail controller_silent → nothing  # a fault is announced once
+        70 open → startup 1-6 stop; announce bus_recovered""")

@@ -21,6 +21,52 @@ FED: Final = f"{BOARD} 10 leg 3 start 90\n 10 board\n"
 LANDING: Final = FED.replace("power", "landing_ms=1000, power")
 
 
+def test_a_leg_with_a_servo_that_is_not_fed_any_more_is_stopped_and_the_others_go_on() -> None:
+    play(f"""{FED}
+        15 leg 4 start 90
+        16 board
+        20 board (lost 32) → watchdog 3 stop
+        running 41 42 43
+        30 board → nothing
+        running 41 42 43  # fed again, it starts by a command only
+        40 leg 3 set 80 → rejected 3 servo_stopped
+        50 leg 3 start 80 → nothing
+        60 board → command 3 start 80; completed 4""")
+
+
+def test_a_start_that_waits_for_a_servo_that_is_now_blocked_is_never_sent() -> None:
+    play(f"""{FED.replace("power", "period_ms=1000, power")}
+        20 leg 3 stop
+        30 leg 3 start 90 → nothing
+        40 board (refused 31) → watchdog 3 stop; rejected 3 no_power
+        1100 time → nothing
+        running none""")
+
+
+def test_all_is_stopped_when_the_board_does_not_answer() -> None:
+    play(f"""{FED}
+        20 board silent → watchdog 1-6 stop
+        30 board silent → nothing  # once
+        40 leg 3 start 90 → rejected 2 no_power""")
+
+
+def test_where_a_landing_is_configured_a_silent_board_makes_it_land() -> None:
+    play(f"""{LANDING}
+        20 board silent → announce landing
+        announces the power board does not answer; the robot lands, and is stopped 1000 ms later
+        30 board → nothing  # what lands is not turned round
+        40 leg 3 set 80 → rejected 2 landing
+        1020 time → watchdog 1-6 stop; announce watchdog_expired""")
+
+
+def test_doubt_stops_all_legs_and_ends_a_landing() -> None:
+    play(f"""{LANDING}
+        20 board silent
+        30 board (doubt servo 11 is not off) → watchdog 1-6 stop
+        running none
+        1020 time → nothing""")
+
+
 def test_a_robot_whose_supply_starts_a_servo_goes_from_the_angle_that_was_on_the_wire() -> None:
     robot = Supervisor(Rules(repeats=0, power=True, angles_first=True, max_speed_cdeg_s={31: 100_00}))
     robot.step(BusOpened(), 0)
@@ -64,40 +110,9 @@ SCENES: Final = {
         40 servo 41 start 90
         1830 board silent
             → watchdog 3 stop; watchdog 1-6 stop; rejected 2 no_power; rejected 3 no_power""",
-    "a leg with a servo that is not fed any more is stopped and the others go on": f"""{FED}
-        15 leg 4 start 90
-        16 board
-        20 board (lost 32) → watchdog 3 stop
-        running 41 42 43
-        30 board → nothing
-        running 41 42 43  # fed again, it starts by a command only
-        40 leg 3 set 80 → rejected 3 servo_stopped
-        50 leg 3 start 80 → nothing
-        60 board → command 3 start 80; completed 4""",
-    "a start that waits for a servo that is blocked is never sent": f"""{FED.replace("power", "period_ms=1000, power")}
-        20 leg 3 stop
-        30 leg 3 start 90 → nothing
-        40 board (refused 31) → watchdog 3 stop; rejected 3 no_power
-        1100 time → nothing
-        running none""",
     "a stop beside starts that wait for supply needs no slot": f"""{BOARD.replace("power", "period_ms=1000, power")}
         10 leg 3 stop | start 90 | start 90 → command 31 stop
         10 board → command 3 stop | start 90 | start 90; completed 1""",
-    "all is stopped when the board does not answer": f"""{FED}
-        20 board silent → watchdog 1-6 stop
-        30 board silent → nothing  # once
-        40 leg 3 start 90 → rejected 2 no_power""",
-    "where a landing is configured a silent board makes it land": f"""{LANDING}
-        20 board silent → announce landing
-        announces the power board does not answer; the robot lands, and is stopped 1000 ms later
-        30 board → nothing  # what lands is not turned round
-        40 leg 3 set 80 → rejected 2 landing
-        1020 time → watchdog 1-6 stop; announce watchdog_expired""",
-    "doubt stops all legs and ends a landing": f"""{LANDING}
-        20 board silent
-        30 board (doubt servo 11 is not off) → watchdog 1-6 stop
-        running none
-        1020 time → nothing""",
 }
 test_a_scene = scene_test(SCENES)
 

@@ -54,6 +54,10 @@ def test_the_emergency_stop_ends_it_at_any_instant(at_ms: float) -> None:
         {at_ms + 2} leg 3 start 90 → command 3 start 90; …""")
 
 
+def test_a_late_look_makes_the_landing_no_longer() -> None:
+    play(f"{LANDS} 1160 time\n 1260 pass → …; watchdog 1-6 stop; announce watchdog_expired")
+
+
 SCENES: Final = {
     "a stop stops its leg at once and the others go on": f"""{LANDS}
         260 time
@@ -106,7 +110,5 @@ SCENES: Final = {
         300 legs 34 stop
         due never
         301 leg 3 start 90 → command 3 start 90; …""",
-    "a late look makes the landing no longer": f"""{LANDS} 1160 time
-        1260 pass → …; watchdog 1-6 stop; announce watchdog_expired""",
 }
 test_a_scene = scene_test(SCENES)

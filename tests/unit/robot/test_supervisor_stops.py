@@ -10,6 +10,21 @@ from gateway.robot.core.rules import Rules
 from schemas.robot import LEGS, SERVO_IDS
 from tests.support.scenes import Scenes, play, scene_test
 
+# ---- 4, the watchdog
+
+
+def test_a_silent_leg_is_stopped() -> None:
+    play("""
+        100 leg 1 start 90
+        due 350
+        349.999 time → nothing
+        350 time → watchdog 1 stop; announce watchdog_expired
+        legs 1
+        mode idle
+        expirations 1
+        due never
+        watchdogs expired idle idle idle idle idle""")
+
 
 def test_an_emergency_stop_and_its_reset_name_the_session_that_asked() -> None:
     robot = Scenes()
@@ -28,6 +43,64 @@ def test_a_taken_leg_names_the_session_that_took_it() -> None:
     assert (event.kind, event.source, event.source_id) == ("source_changed", "ben", "b2")
 
 
+def test_other_legs_do_not_feed_it() -> None:
+    play("""
+        100 leg 1 start 90
+        300 leg 2 start 90
+        350 time → watchdog 1 stop; announce watchdog_expired
+        running 21 22 23""")
+
+
+def test_rejected_commands_do_not_feed_it() -> None:
+    play("""
+        rules joint_limits_cdeg={11: (0, 9000)}
+        100 servo 11 start 90
+        200 servo 12 set 90 → rejected 2 servo_stopped
+        300 servo 11 set 91 → rejected 3 joint_limit
+        350 time → watchdog 1 stop; announce watchdog_expired""")
+
+
+# ---- repeats
+
+
+def test_every_stop_is_repeated() -> None:
+    play("""
+        rules repeats=2, repeat_interval_ms=20
+        due 20
+        20 time → repeat 1-6 stop
+        39 time → nothing
+        40 time → repeat 1-6 stop
+        due never
+        100 leg 1 start 90
+        150 servo 12 stop
+        170 time → repeat 12 stop
+        190 time → repeat 12 stop
+        400 time
+        420 time → repeat 1-6 stop  # of all legs, since none runs any more""")
+
+
+def test_repeats_end_when_the_servo_is_started_again() -> None:
+    play("""
+        rules repeats=3
+        10 servo 11 start 90 → command 11 start 90; completed 1
+        20 time → repeat 12 stop; repeat 13 stop; repeat 2 stop; …
+        40 leg 1 start 90
+        60 time → repeat 2 stop; repeat 3 stop; repeat 4 stop; repeat 5 stop; repeat 6 stop""")
+
+
+# ---- 5, the emergency stop
+
+
+def test_a_reset_leaves_the_latch_and_nothing_moves() -> None:
+    play("""
+        100 leg 1 start 90
+        110 estop
+        120 reset → announce estop_reset; completed 2
+        mode idle
+        400 time → nothing
+        410 leg 1 set 90 → rejected 3 servo_stopped""")
+
+
 def test_emergency_stops_are_numbered_and_a_reset_must_name_the_latest() -> None:
     robot = play("101 estop\n102 estop")
     assert robot.supervisor.latch.number == 2
@@ -43,28 +116,6 @@ def test_emergency_stops_are_numbered_and_a_reset_must_name_the_latest() -> None
 
 
 SCENES: Final = {
-    # ---- the watchdog
-    "a silent leg is stopped": """
-        100 leg 1 start 90
-        due 350
-        349.999 time → nothing
-        350 time → watchdog 1 stop; announce watchdog_expired
-        legs 1
-        mode idle
-        expirations 1
-        due never
-        watchdogs expired idle idle idle idle idle""",
-    "other legs do not feed a leg's watchdog": """
-        100 leg 1 start 90
-        300 leg 2 start 90
-        350 time → watchdog 1 stop; announce watchdog_expired
-        running 21 22 23""",
-    "rejected commands do not feed the watchdog": """
-        rules joint_limits_cdeg={11: (0, 9000)}
-        100 servo 11 start 90
-        200 servo 12 set 90 → rejected 2 servo_stopped
-        300 servo 11 set 91 → rejected 3 joint_limit
-        350 time → watchdog 1 stop; announce watchdog_expired""",
     "any accepted command that starts or sets a servo of the leg feeds it": """
         100 leg 1 start 90
         300 leg 1 start 80
@@ -88,62 +139,6 @@ SCENES: Final = {
         legs 123456
         watchdogs expired expired idle idle idle idle
         expirations 1""",
-    # ---- repeats
-    "every stop is repeated": """
-        rules repeats=2, repeat_interval_ms=20
-        due 20
-        20 time → repeat 1-6 stop
-        39 time → nothing
-        40 time → repeat 1-6 stop
-        due never
-        100 leg 1 start 90
-        150 servo 12 stop
-        170 time → repeat 12 stop
-        190 time → repeat 12 stop
-        400 time
-        420 time → repeat 1-6 stop  # of all legs, since none runs any more""",
-    "repeats end when the servo is started again": """
-        rules repeats=3
-        10 servo 11 start 90 → command 11 start 90; completed 1
-        20 time → repeat 12 stop; repeat 13 stop; repeat 2 stop; …
-        40 leg 1 start 90
-        60 time → repeat 2 stop; repeat 3 stop; repeat 4 stop; repeat 5 stop; repeat 6 stop""",
-    "where nothing runs a first stop of a step is not repeated with those that are due": """
-        rules repeats=1
-        5000 leg 2 stop
-        5020 leg 1 start 90 | stop | stop
-            → command 12 stop; command 13 stop; repeat 2 stop; command 11 start 90; completed 2""",
-    # ---- whom an event names
-    # Not those that rest, nor a second time those that another cause has stopped in the same step.
-    "an event for each cause names the legs that ran or waited to start": """
-        rules start_pause_ms=15
-        100 legs 12 start 90 (source anna)
-        101 legs 123 stop (source bert)
-        halted bert stopped legs 1 and 2
-        102 legs 123 stop (source bert)
-        halted
-        200 leg 1 start 90
-        440 leg 2 start 90
-        450 leg 1 stop
-        halted the watchdog stopped leg 1
-        460 estop
-        halted the emergency stop stopped leg 2""",
-    "what stops all at the start and at the end is the gateway itself": """
-        100 leg 1 start 90
-        110 fail
-        120 open
-        halted the gateway stopped leg 1
-        200 leg 2 start 90
-        210 end
-        halted the gateway stopped leg 2""",
-    # ---- the emergency stop
-    "a reset leaves the latch and nothing moves": """
-        100 leg 1 start 90
-        110 estop
-        120 reset → announce estop_reset; completed 2
-        mode idle
-        400 time → nothing
-        410 leg 1 set 90 → rejected 3 servo_stopped""",
     "it takes the place of a watchdogs stop": """
         1 leg 1 start 90
         251 time
@@ -180,6 +175,11 @@ SCENES: Final = {
         51 leg 1 stop | set 70 | stop → command 11 stop; command 13 stop  # the set waits for its rate slot
         due 55
         55 time → command 12 set 70; completed 3""",
+    "where nothing runs a first stop of a step is not repeated with those that are due": """
+        rules repeats=1
+        5000 leg 2 stop
+        5020 leg 1 start 90 | stop | stop
+            → command 12 stop; command 13 stop; repeat 2 stop; command 11 start 90; completed 2""",
     # An earlier run may have left one engaged.
     "until it is known an emergency stop counts as engaged and no reset leaves it": """
         rules estop_kept=True
@@ -214,11 +214,45 @@ SCENES: Final = {
         120 outside ends → nothing
         130 servo 11 set 90 → rejected 5 servo_stopped  # it does not run
         131 leg 1 start 90 → command 1 start 90; completed 6""",
+    # Not those that rest, nor a second time those that another cause has stopped in the same step.
+    "an event for each cause names the legs that ran or waited to start": """
+        rules start_pause_ms=15
+        100 legs 12 start 90 (source anna)
+        101 legs 123 stop (source bert)
+        halted bert stopped legs 1 and 2
+        102 legs 123 stop (source bert)
+        halted
+        200 leg 1 start 90
+        440 leg 2 start 90
+        450 leg 1 stop
+        halted the watchdog stopped leg 1
+        460 estop
+        halted the emergency stop stopped leg 2""",
+    "what stops all at the start and at the end is the gateway itself": """
+        100 leg 1 start 90
+        110 fail
+        120 open
+        halted the gateway stopped leg 1
+        200 leg 2 start 90
+        210 end
+        halted the gateway stopped leg 2""",
 }
 test_a_scene = scene_test(SCENES)
 
 
-# ---- Stops to legs at rest: when, and to whom
+# ---- when, and to whom
+
+
+def test_while_others_run_each_leg_at_rest_gets_a_stop_every_800_ms() -> None:
+    play("""
+        rules timeout_ms=10000, rest_runs=3
+        100 leg 1 start 90
+        800 servo 21 start 90
+        due 900
+        899 time → nothing
+        900 time → repeat 3 stop; repeat 4 stop; repeat 5 stop; repeat 6 stop
+        due 1700""")
+
 
 AT_REST: Final = {
     "a stop of all legs ends the rounds": """
@@ -277,14 +311,6 @@ AT_REST: Final = {
         rules timeout_ms=10000, rest_runs=3
         10 legs 123456 start 90
         due 10010""",
-    "while others run each leg at rest gets a stop every 800 ms": """
-        rules timeout_ms=10000, rest_runs=3
-        100 leg 1 start 90
-        800 servo 21 start 90
-        due 900
-        899 time → nothing
-        900 time → repeat 3 stop; repeat 4 stop; repeat 5 stop; repeat 6 stop
-        due 1700""",
 }
 test_a_scene_at_rest = scene_test(AT_REST)
 
