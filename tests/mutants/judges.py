@@ -22,7 +22,7 @@ _CONDUCTOR: Final = (
 )
 _INBOX: Final = (*_tests("zenoh", "inbox_parts"), *_robot("ownership"))
 _SUPERVISOR: Final = (
-    *_robot("supervisor_stops supervisor supervisor_speed supervisor_takeover"),
+    *_robot("supervisor_stops supervisor supervisor_speed"),
     *_robot("supervisor_landing supervisor_calibration body_limits power_rule"),
     *_robot("lease buttons"),
     f"{_BACKLOG}::test_a_dead_programs_backlog_starts_nothing",
@@ -61,15 +61,15 @@ JUDGES: Final = {
     "gateway/robot/core/message.py": _robot("conductor_safety"),
     "gateway/robot/core/intake.py": _robot("intake conductor conductor_safety"),
     "gateway/model/staleness.py": _model("staleness"),
-    "gateway/robot/core/servo.py": (*_robot("pacing supervisor_takeover supervisor_landing"), *_SUPERVISOR),
-    "gateway/robot/core/pace.py": _robot("pacing supervisor_speed supervisor_takeover supervisor_landing"),
+    "gateway/robot/core/servo.py": (*_robot("pacing supervisor_speed supervisor_landing"), *_SUPERVISOR),
+    "gateway/robot/core/pace.py": _robot("pacing supervisor_speed supervisor_landing"),
     "gateway/robot/core/gates/rate.py": _robot("pacing supervisor"),
     "gateway/robot/core/gates/burst.py": _robot("backlog supervisor_stops"),
     "gateway/robot/core/gates/stagger.py": _robot("supervisor_stops backlog supervisor"),
     "gateway/robot/core/gates/supply.py": _robot("power_rule power_conductor"),
     "gateway/robot/core/gates/whole.py": _robot("supervisor elkapod_conductor"),
     "gateway/robot/core/gates/every.py": (*_robot("power_rule"), *_SUPERVISOR),
-    "gateway/robot/core/leg.py": (*_robot("pacing"), *_SUPERVISOR, *_SETTINGS, *_robot("supervisor_takeover")),
+    "gateway/robot/core/leg.py": (*_robot("pacing"), *_SUPERVISOR, *_SETTINGS),
     "gateway/robot/core/legs.py": _SUPERVISOR,
     "gateway/robot/core/supervisor.py": _SUPERVISOR,
     "gateway/robot/core/interlock.py": _SUPERVISOR,
