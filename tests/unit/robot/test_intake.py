@@ -12,7 +12,7 @@ from pydantic_core import SchemaValidator
 
 from gateway.model import frames
 from gateway.model.frames import STOP as STOP_OP
-from gateway.model.frames import Frame, OneLeg, OneServo, Op, ServoOp, servo_ids_of
+from gateway.model.frames import Op, ServoOp, servo_ids_of
 from gateway.robot.core import intake
 from gateway.robot.core.events import Command, Reset, Targets
 from gateway.robot.core.flat import into_dicts
@@ -39,6 +39,7 @@ from tests.support.commands import (
     legs_commands,
     parsed,
 )
+from tests.support.history import frames_of
 
 # ---- a message's meaning as a value that tests compare, and a second reading of the same JSON
 
@@ -94,7 +95,7 @@ def check_intake(key: CommandKey, payload: bytes, answer: object) -> None:
         assert answer.targets == ()
         return
     _check_targets(key, sent, answer.targets)
-    for frame in _frames_of(answer.targets):
+    for frame in frames_of(answer.targets):
         assert frames.decode(frame.data) == frame
 
 
@@ -127,14 +128,6 @@ def _check_targets(key: CommandKey, sent: dict[str, Any], targets: Targets) -> N
         assert type(angle_deg) in (int, float)
         assert 0 <= angle_deg <= 180
         assert math.isclose(command.angle_cdeg, 100 * angle_deg, rel_tol=0, abs_tol=0.5 + 1e-9)
-
-
-def _frames_of(targets: Targets) -> list[Frame]:
-    """Return the frames that these targets become: whole legs as ONE LEG, a single servo as ONE SERVO."""
-    if len(targets) == 1:
-        return [OneServo(*targets[0])]
-    ops: list[ServoOp] = [op for _, op in targets]
-    return [OneLeg(targets[i][0] // 10, (ops[i], ops[i + 1], ops[i + 2])) for i in range(0, len(targets), 3)]
 
 
 JSON = "application/json"
