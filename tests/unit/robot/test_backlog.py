@@ -277,10 +277,6 @@ def test_beside_a_fresh_start_on_another_key_a_backlog_starts_nothing(
 
 CLUMPS: Final = "\n".join(f"{at_ms} leg 1 start 90\n{at_ms} leg 1 start 90" for at_ms in range(100, 490, 30))
 SCENES: Final = {
-    "a lone start leaves within one slot": f"""{RULES}
-        100 leg 1 start 90 → nothing
-        due 115
-        115 time → command 1 start 90; completed 1""",
     "the newest angle of a stream leaves after 40 ms": f"""{RULES}
         100 leg 1 start 90 → nothing
         110 leg 1 set 80 → completed 1 coalesced

@@ -45,12 +45,6 @@ def test_three_slots_are_kept_and_used_a_quarter_of_a_period_apart() -> None:
     assert sent_at(100, [1000, 1001, 1026, 1051, 1052]) == [1000, 1025, 1050, 1100]
 
 
-def test_before_the_first_frame_the_bucket_is_full() -> None:
-    """Also for the longest period, and a clock that begins at 0."""
-    quarters_ns = [0, NS_PER_S // 4, NS_PER_S // 2]
-    assert sent_at(NS_PER_S, quarters_ns) == quarters_ns
-
-
 @given(st.integers(2, 101), st.data())
 def test_in_the_long_run_more_than_the_rate_gets_exactly_the_rate(period_ns: int, data: st.DataObject) -> None:
     """As soon as the bucket is empty, one frame in every period, to the nanosecond."""
@@ -239,28 +233,12 @@ def test_each_event_leads_where_the_table_says_or_changes_nothing(event: str, li
         assert values(servo) == before
 
 
-def test_a_frame_that_repeats_a_servo_s_angle_begins_the_time_for_its_next_step() -> None:
-    pace, servo = Paces(Rules(max_speed_cdeg_s={11: 100_00}), AngleLimits()), Servo(11, RUNNING, 0)
-    servo.repeated(NS_PER_S)
-    servo.take(SETS[90_00], COMMAND)
-    assert pace.step(servo, NS_PER_S + 5 * NS_PER_MS, NS_PER_S, lands=False).angle_cdeg == 50
-
-
 def test_a_stop_after_which_the_last_frame_is_unknown_forgets_the_angle() -> None:
     servo = in_state(RUNNING)
     servo.stop("estop", 6, 7, RobotCalibration())
     assert servo.known == (20_00, 7, RobotCalibration())
     servo.stop("startup", 8, 9, None)
     assert servo.known is None
-
-
-def test_no_frame_moves_a_running_servo_without_a_target() -> None:
-    servo = in_state(RUNNING)
-    servo.drop()
-    before = values(servo)
-    with pytest.raises(IllegalTransition, match="running without a target"):
-        servo.wrote_target(9)
-    assert values(servo) == before
 
 
 def test_only_a_running_servo_without_a_target_goes_the_usual_way() -> None:

@@ -5,11 +5,6 @@ Each step is judged by the oracle.
 
 from typing import Final
 
-from gateway.model.frames import SETS, STARTS
-from gateway.rate_limit import NS_PER_MS
-from gateway.robot.core.events import BusOpened, Command, Feed, PowerSeen, TimePassed, Transmit
-from gateway.robot.core.rules import Rules
-from gateway.robot.core.supervisor import Supervisor
 from schemas.robot import LEGS
 from schemas.words import Kind
 from tests.support.scenes import play, scene_test
@@ -67,24 +62,6 @@ def test_doubt_stops_all_legs_and_ends_a_landing() -> None:
         1020 time → nothing""")
 
 
-def test_a_robot_whose_supply_starts_a_servo_goes_from_the_angle_that_was_on_the_wire() -> None:
-    robot = Supervisor(Rules(repeats=0, power=True, angles_first=True, max_speed_cdeg_s={31: 100_00}))
-    robot.step(BusOpened(), 0)
-    robot.step(PowerSeen(alive=True), 0)
-    robot.step(Command(((31, STARTS[90_00]),), number=1), 10 * NS_PER_MS)
-    assert robot.legs.to_feed() == {31: 90_00}
-    robot.step(Command(((31, SETS[45_00]),), number=2), 100 * NS_PER_MS)
-    assert robot.legs.to_feed() == {31: 90_00}, "as long as the start waits"
-    start, feed = robot.step(PowerSeen(alive=True, fed=frozenset({31})), 200 * NS_PER_MS)
-    assert isinstance(feed, Feed)
-    assert isinstance(start, Transmit)
-    ((_, op),) = start.frame.servos
-    assert op == STARTS[90_00], "no jump to 45"
-    robot.step(TimePassed(), 220 * NS_PER_MS)
-    assert robot.legs.servos[31].angle_cdeg == 88_00, "a step of its speed"
-    assert robot.legs.to_feed() == {31: None}
-
-
 SCENES: Final = {
     "nothing starts before the board has answered": """
         rules power=True
@@ -110,9 +87,6 @@ SCENES: Final = {
         40 servo 41 start 90
         1830 board silent
             → watchdog 3 stop; watchdog 1-6 stop; rejected 2 no_power; rejected 3 no_power""",
-    "a stop beside starts that wait for supply needs no slot": f"""{BOARD.replace("power", "period_ms=1000, power")}
-        10 leg 3 stop | start 90 | start 90 → command 31 stop
-        10 board → command 3 stop | start 90 | start 90; completed 1""",
 }
 test_a_scene = scene_test(SCENES)
 
@@ -133,22 +107,10 @@ WITH_A_BOARD: Final = {
         1810 time → watchdog 3 stop; rejected 2 no_power
         says the power board has not confirmed that it is fed
         1900 board → nothing""",
-    "a servo that waits for its supply delays no other of its leg": """
-        10 servo 31 start 90
-        20 board
-        100 servo 32 start 45 → nothing
-        150 servo 31 set 91 → command 31 set 91; completed 3
-        200 board → command 32 start 45; completed 2
-        400 time → watchdog 3 stop; announce watchdog_expired  # watched since the set""",
     "a stop of the servos that a start waited for lets the others start": """
         10 legs 34 start 90 → nothing
         20 board (fed 31 32 33) → nothing
         30 leg 4 stop → command 4 stop; completed 2; command 3 start 90; completed 1 coalesced""",
-    "a stop ends a start that waits for its supply": """
-        10 leg 3 start 90
-        20 leg 3 stop → command 3 stop; …
-        30 board → nothing
-        running none""",
 }
 test_a_scene_with_a_board_that_answers = scene_test(WITH_A_BOARD, BOARD)
 
@@ -237,9 +199,6 @@ SUPPLY: Final = {
         20 board (drew 31, fed none) → watchdog 3 stop; rejected 1 no_power
         30 leg 4 start 90 → nothing
         supply feed 41 42 43""",
-    "a bus fault cuts all power": """
-        20 fail → rejected 1 bus_fault; announce bus_fault; announce power_cut
-        supply cut; feed none""",
     "a servo that another program has switched off waits for a reset": """
         20 board → command 3 start 90; completed 1
         30 board (lost 32, taken 32) → watchdog 3 stop

@@ -71,41 +71,6 @@ SCENES: Final = {
         60 servo 11 set 180 → command 11 set 180; completed 5
         61 leg 1 stop | set 170 | set 80 → command 11 stop; rejected 6 joint_limit stopped
         62 leg 1 stop → command 1 stop; completed 7  # a stop has no angle""",
-    "a stream above the rate that keeps a servo stopped leaves it to the repeats": """
-        rules repeats=3
-        100 leg 1 start 90
-        101 leg 1 stop | set 80 | set 80 → command 11 stop
-        102 leg 1 stop | set 70 | set 70 → completed 2 coalesced
-        121 time → …; repeat 11 stop; …""",
-    "a stop among moves does not wait for the repeats of an earlier one": """
-        rules repeats=3
-        100 leg 1 start 90
-        110 leg 1 stop | set 80 | set 80 → command 11 stop; command 1 stop | set 80 | set 80; completed 2
-        118 leg 1 stop | set 70 | set 70 → command 11 stop; command 1 stop | set 70 | set 70; completed 3""",
-    "a stop among moves does not wait for the repeats if it ends a waiting start": """
-        rules repeats=3
-        100 leg 1 start 90
-        101 leg 1 stop | set 80 | set 80 → command 11 stop
-        102 servo 11 start 70 → nothing
-        103 leg 1 stop | set 80 | set 80 → command 11 stop; …""",
-    "one set to a stopped servo rejects the whole command": """
-        1 servo 11 start 90
-        30 leg 1 set 80 | start 80 | set 80 → rejected 2 servo_stopped
-        says servo 13 does not run; start it before you set it
-        60 legs 23 start 80 + servo 41 set 1 → rejected 3 servo_stopped
-        running 11""",
-    "a command comes just when another legs slot does": """
-        100 leg 1 start 90
-        105 leg 1 set 90
-        110 leg 1 set 90
-        112 leg 1 set 80
-        120 leg 2 start 90 → command 2 start 90; completed 5; command 1 set 80; …
-        due 362  # nothing waits any more""",
-    "the newest of each servo is sent in one frame": """
-        100 leg 1 start 90
-        101 leg 1 set 10 | set 20 | set 30 → nothing
-        102 servo 12 set 25 → nothing
-        120 time → command 1 set 10 | set 25 | set 30; completed 3; completed 2 coalesced""",
     "a stop goes out at once and ends what waits": """
         100 leg 1 start 90
         101 leg 1 set 80
@@ -121,6 +86,11 @@ SCENES: Final = {
         130.5 leg 1 stop (key put leg/1)
         131 leg 1 start 90 (key get leg/1) → rejected 2 servo_stopped
         131.5 leg 1 start 90 (key put leg/1) → command 1 start 90; completed 3""",
+    "a stop among moves does not wait for the repeats of an earlier one": """
+        rules repeats=3
+        100 leg 1 start 90
+        110 leg 1 stop | set 80 | set 80 → command 11 stop; command 1 stop | set 80 | set 80; completed 2
+        118 leg 1 stop | set 70 | set 70 → command 11 stop; command 1 stop | set 70 | set 70; completed 3""",
     "a stop among moves wins too": """
         130 leg 1 start 90 | stop | start 90 (key leg/1)
         130 servo 12 start 90 (key servo/12) → rejected 2 servo_stopped
@@ -138,6 +108,12 @@ SCENES: Final = {
         instant 349
         351 leg 1 start 90 (key put leg/1) → watchdog 1 stop; announce watchdog_expired; rejected 2 servo_stopped
         352 leg 1 start 90 (key put leg/1) → rejected 3 servo_stopped""",
+    "a stream above the rate that keeps a servo stopped leaves it to the repeats": """
+        rules repeats=3
+        100 leg 1 start 90
+        101 leg 1 stop | set 80 | set 80 → command 11 stop
+        102 leg 1 stop | set 70 | set 70 → completed 2 coalesced
+        121 time → …; repeat 11 stop; …""",
 }
 test_a_scene = scene_test(SCENES)
 
@@ -278,13 +254,6 @@ FAULTS: Final = {
         0 estop → announce estop_engaged
         1 open → startup 1-6 stop
         mode estopped""",
-    "legs are energised with a pause between them": """
-        rules start_pause_ms=50
-        100 legs 123 start 90 (key legs) → command 1 start 90
-        due 150
-        149 time → nothing
-        150 time → command 2 start 90
-        200 time → command 3 start 90; completed 1""",
     "a command that starts one leg and stops another does not reject itself": """
         rules start_pause_ms=50
         100 leg 1 start 90

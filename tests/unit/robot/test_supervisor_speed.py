@@ -50,15 +50,6 @@ SCENES: Final = {
 test_a_scene = scene_test(SCENES)
 
 
-@pytest.mark.parametrize("stop", ["60 servo 31 stop", "60 estop", "400 pass"])
-def test_a_stop_ends_it(stop: str) -> None:
-    steps = play(f"""{RUNS.replace("10000", "1000")}
-        51 servo 31 set 180
-        {stop} → …; …""")
-    assert not angles(steps, 1000)
-    assert 31 not in steps.running
-
-
 # ---- across angles that are never sent
 
 AVOIDING: Final = "rules timeout_ms=10000, max_speed_cdeg_s={31: 5000}, avoid_cdeg=(100, 400)\n 1 servo 31 start 6\n"
@@ -159,15 +150,6 @@ TAKEOVERS: Final = {
         220 leg 3 stop (source anna)
         1000 time
         2221 leg 3 start 160 (source anna) → command 3 start 160; …""",
-    "of a leg only the servo that ran begins where it stands": f"""{RULES}
-        1 servo 32 start 20 (source anna)
-        40 servo 32 stop (source anna)
-        80 leg 3 start 35 (source anna) → command 3 start 35 | start 20 | start 35; …""",
-    "behind a fault of the bus nobody knows which frame was the last": f"""{ANNAS}
-        220 servo 31 set 25 (source anna)
-        220 fail
-        240 open
-        270 leg 3 start 35 (source anna) → command 3 start 35; …""",
     "switched off nothing of it happens": f"""rules takeover_cdeg_s=0
         {HELD}
         220 servo 31 set 160 (source bert) → command 31 set 160; …
@@ -178,6 +160,11 @@ TAKEOVERS: Final = {
         {HELD}
         220 servo 31 set 160 (source bert)
         960 pass → …; watchdog 31 set 90; …""",
+    "behind a fault of the bus nobody knows which frame was the last": f"""{ANNAS}
+        220 servo 31 set 25 (source anna)
+        220 fail
+        240 open
+        270 leg 3 start 35 (source anna) → command 3 start 35; …""",
 }
 test_a_scene_of_a_takeover = scene_test(TAKEOVERS)
 
@@ -198,30 +185,6 @@ def test_a_board_whose_supply_starts_a_servo_feeds_it_at_the_angle_where_it_stan
     steps.play(
         "160 servo 31 set 170 (source anna)\n 200 board → command 31 start 20; …\n 220 time → command 31 set 23.6; …"
     )
-
-
-@pytest.mark.parametrize("supply_starts", [True, False])
-def test_the_angle_at_which_a_start_begins_stays_however_long_it_waits_for_power(supply_starts: bool) -> None:
-    steps = play(STOPPED.replace("angles_first=True", f"angles_first={supply_starts}"))
-    steps.play("1500 servo 31 start 160 (source anna)\n 2150 servo 31 set 170 (source bert)")
-    assert steps.supervisor.legs.to_feed() == {31: 20_00}
-    steps.play("2200 board → command 31 start 20; …")
-
-
-STOPPED_BESIDE: Final = """rules power=True, angles_first=True, repeats=3
-    1 board
-    10 servo 32 start 20
-    20 board
-    100 servo 31 stop
-    105 servo 31 start 160
-    109 servo 32 set 21
-    110 servo 31 stop + servo 32 set 20  # which waits for its rate slot
-"""
-
-
-def test_no_servo_is_fed_at_the_angle_of_a_start_that_was_stopped() -> None:
-    steps = play(f"{STOPPED_BESIDE} 300 servo 31 start 90")
-    assert steps.supervisor.legs.to_feed() == {31: 90_00, 32: None}
 
 
 WAITING: Final = """rules power=True, takeover_cdeg_s=18000

@@ -175,11 +175,6 @@ SCENES: Final = {
         51 leg 1 stop | set 70 | stop → command 11 stop; command 13 stop  # the set waits for its rate slot
         due 55
         55 time → command 12 set 70; completed 3""",
-    "where nothing runs a first stop of a step is not repeated with those that are due": """
-        rules repeats=1
-        5000 leg 2 stop
-        5020 leg 1 start 90 | stop | stop
-            → command 12 stop; command 13 stop; repeat 2 stop; command 11 start 90; completed 2""",
     # An earlier run may have left one engaged.
     "until it is known an emergency stop counts as engaged and no reset leaves it": """
         rules estop_kept=True
@@ -228,14 +223,6 @@ SCENES: Final = {
         halted the watchdog stopped leg 1
         460 estop
         halted the emergency stop stopped leg 2""",
-    "what stops all at the start and at the end is the gateway itself": """
-        100 leg 1 start 90
-        110 fail
-        120 open
-        halted the gateway stopped leg 1
-        200 leg 2 start 90
-        210 end
-        halted the gateway stopped leg 2""",
 }
 test_a_scene = scene_test(SCENES)
 
@@ -260,10 +247,6 @@ AT_REST: Final = {
         100 leg 1 start 90
         200 estop
         due 1300""",
-    "a round precedes the frame of its step": """
-        rules timeout_ms=10000
-        100 leg 1 start 90
-        900 leg 1 set 80 → repeat 2 stop; …; repeat 6 stop; command 1 set 80; …""",
     "the stops that join a silent leg's are repeated": """
         rules repeats=1, rest_runs=0
         20 time
@@ -287,12 +270,6 @@ AT_REST: Final = {
         110 leg 2 stop
         120 time → repeat 1 stop; repeat 2 stop
         130 time → nothing""",
-    "legs at rest are stopped with a silent leg and those that run are not": """
-        100 leg 1 start 90
-        200 leg 2 start 90
-        350 time → watchdog 1 stop; announce watchdog_expired
-        joined 3456
-        running 21 22 23""",
     "a service that ends waits for no further run": """
         rules rest_runs=3
         100 leg 1 start 90
@@ -300,13 +277,6 @@ AT_REST: Final = {
         due 1300
         300 end
         due never""",
-    "a stop, a repeat that is due and the last run are each written": """
-        rules repeats=2, repeat_interval_ms=1, rest_runs=1, rest_run_ms=5
-        1 time
-        1.5 servo 11 stop
-        8.5 time → repeat 1-6 stop
-        13.5 servo 13 stop → command 13 stop; repeat 11 stop; repeat 11 stop; repeat 12 stop; repeat 13 stop; …
-        due 14.5""",
     "where all legs run there is no round": """
         rules timeout_ms=10000, rest_runs=3
         10 legs 123456 start 90
