@@ -38,11 +38,10 @@ from gateway.robot.core.events import (
     ShutDown,
     TimePassed,
 )
-from gateway.robot.core.gates.every import Gates
-from gateway.robot.core.gates.rate import RateSlots
+from gateway.robot.core.gates import Gates
 from gateway.robot.core.interlock import Interlock
 from gateway.robot.core.lease import RobotLease
-from gateway.robot.core.leg import Leg
+from gateway.robot.core.leg import Leg, RateSlots
 from gateway.robot.core.legs import Legs
 from gateway.robot.core.power_rule import PowerRule
 from gateway.robot.core.rules import Rules
@@ -95,7 +94,7 @@ _KNOWN: Final = (
     (_ROBOT.legs, "_rules limits by_number _all servos gates _pace stops sends instant_ns _halted"),
     (_ROBOT.legs, "landing_ends_ns landing_from_ns stopped_ns"),
     (_ROBOT.legs, "due_ns at_rest"),  # these follow from the others: `take` sees to that
-    (_ROBOT.legs.gates, "supply stagger burst _gates"),
+    (_ROBOT.legs.gates, "supply stagger burst _together"),
     (_ROBOT.legs.gates.burst, "judged_ns"),
     (_ROBOT.legs.gates.supply, "_legs fed"),
     (_ROBOT.legs.gates.stagger, "pause_ns next_ns"),

@@ -1,6 +1,6 @@
 """Carries out accepted commands: what a servo's frame contains, and when a command is done. Pure: time is an argument.
 
-The supervisor decides whether a command is carried out. *When* a frame leaves is decided in `gates/`, *how far* it
+The supervisor decides whether a command is carried out. *When* a frame leaves is decided in `gates.py`, *how far* it
 moves a servo in `pace.py`, *which Stops are owed* in `stops.py`. A servo's own state is in `servo.py`.
 """
 
@@ -21,8 +21,7 @@ from gateway.robot.core.events import (
     Targets,
     Transmit,
 )
-from gateway.robot.core.gates import NEVER
-from gateway.robot.core.gates.every import Gates
+from gateway.robot.core.gates import NEVER, Gates
 from gateway.robot.core.leg import Leg, leg_at_rest
 from gateway.robot.core.pace import Paces
 from gateway.robot.core.rules import Rules

@@ -17,8 +17,7 @@ from gateway.model.frames import SETS, STARTS
 from gateway.rate_limit import NS_PER_MS, NS_PER_S
 from gateway.robot.core import servo as module
 from gateway.robot.core.events import Command
-from gateway.robot.core.gates.rate import RateSlots
-from gateway.robot.core.leg import leg_at_rest
+from gateway.robot.core.leg import RateSlots, leg_at_rest
 from gateway.robot.core.pace import Paces, step
 from gateway.robot.core.rules import Rules
 from gateway.robot.core.servo import AFTER, OFF, RUNNING, WAITING, IllegalTransition, Life, Servo, moved
