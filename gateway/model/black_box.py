@@ -66,7 +66,7 @@ COALESCED: Final = "coalesced"
 SETTINGS: Final = ("spi", "watchdog", "limits", "lease", "buttons", "safety", "power")
 """The sections of the settings that are recorded, from which the core's rules follow; of the wire, only its name is."""
 STOP_FACTS: Final = ("stop_servos_first_ns", "stop_servos_last_ns")
-"""Facts of a start: the times of `gateway.robot.host.stop_note`, if `stop-servos` ran before it."""
+"""Facts of a start: the times of `gateway.robot.spi.stop_all.take_note`, if `stop-servos` ran before it."""
 
 
 class DamagedRingError(ValueError):

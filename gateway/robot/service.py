@@ -32,7 +32,6 @@ from gateway.robot.core.backlog import START_WAIT_NS
 from gateway.robot.core.message import Reply
 from gateway.robot.core.rules import Rules
 from gateway.robot.core.supervisor import Supervisor
-from gateway.robot.host import stop_note
 from gateway.robot.host.disk import StateFolder, report_mistake
 from gateway.robot.host.ownership import Ownership
 from gateway.robot.host.systemd import SystemdNotifier
@@ -46,6 +45,7 @@ from gateway.robot.runtime.revocations import Revocations, list_common_names, re
 from gateway.robot.runtime.shutdown import SHUTDOWN_S, ServiceEnd, close_within, stop_the_robot
 from gateway.robot.settings import Settings
 from gateway.robot.spi.cyclic import run_cycles
+from gateway.robot.spi.stop_all import take_note
 from gateway.robot.wires import SimulatedParts
 from gateway.robot.zenoh_io.connection_limiter import ConnectionLimiter
 from gateway.robot.zenoh_io.inbox import Inbox
@@ -157,7 +157,7 @@ def run(
         "simulated": simulated.controller,
         "framing": settings.framing,
         "timeout_ms": settings.watchdog.timeout_ms,
-        **dict(zip(STOP_FACTS, stop_note.take(), strict=False)),
+        **dict(zip(STOP_FACTS, take_note(), strict=False)),
     }
 
     async def serve(recorder: Recorder) -> ServiceEnd:

@@ -59,7 +59,7 @@ JUDGES: Final = {
     "gateway/robot/runtime/request_answers.py": (*_CHECKER, *_CALIBRATION_REQUESTS),
     "gateway/robot/host/ownership.py": (*_robot("ownership"), *_tests("zenoh", "inbox_parts")),
     "gateway/robot/core/message.py": _robot("conductor_safety"),
-    "gateway/robot/core/intake.py": _robot("intake conductor conductor_safety"),
+    "gateway/robot/core/intake.py": _robot("intake rejected_stops conductor conductor_safety"),
     "gateway/model/staleness.py": _model("staleness"),
     "gateway/robot/core/servo.py": (*_robot("pacing supervisor_speed supervisor_landing"), *_SUPERVISOR),
     "gateway/robot/core/pace.py": _robot("pacing supervisor_speed supervisor_landing"),
@@ -86,7 +86,6 @@ JUDGES: Final = {
     "gateway/robot/core/calibrating.py": _CALIBRATION,
     "gateway/model/calibration.py": (*_CALIBRATION, *_robot("calibration_conductor")),
     "gateway/robot/core/rejections.py": _robot("intake conductor conductor_safety lease"),
-    "gateway/robot/core/losses.py": _robot("rejected_stops conductor_safety"),
     "gateway/robot/runtime/calibrations.py": _CALIBRATION_REQUESTS,
     "gateway/robot/runtime/executor.py": (*_CONDUCTOR, *_people("recorder"), *_robot("power_conductor conductor")),
     "gateway/robot/runtime/conductor.py": (

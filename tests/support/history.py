@@ -33,7 +33,7 @@ def demand(condition: bool, promise: str) -> None:
 
 def frames_of(targets: events.Targets) -> tuple[Frame, ...]:
     """Return the frames of a command that only moves servos, as its payload's reader makes them, or none."""
-    by_leg = events.targets_by_leg(targets).values()
+    by_leg = events.Command(targets).by_leg.values()
     usual = all(op.op is not Op.STOP for _, op in targets) and all(len(each) in (1, 3) for each in by_leg)
     return tuple(map(frame_of, by_leg)) if usual else ()
 

@@ -224,28 +224,25 @@ class Recorder:
         `owner` is the state's lock.
         """
         with self._opening:
-            self._open(owner)
-
-    def _open(self, owner: AbstractContextManager[None]) -> None:
-        if self._folder is None:
-            return
-        self._path = self._folder
-        try:
-            self._path = rings.prepare(self._folder)
-            ring = RecordRing(self._path, rings.slots_for(self._settings))
-        except OSError as error:
-            logger.warning("the black box is off: %s: %s", self._path, error.strerror or error)
+            if self._folder is None:
+                return
+            self._path = self._folder
+            try:
+                self._path = rings.prepare(self._folder)
+                ring = RecordRing(self._path, rings.slots_for(self._settings))
+            except OSError as error:
+                logger.warning("the black box is off: %s: %s", self._path, error.strerror or error)
+                with owner:
+                    self._folder = self.incident = None
+                return
+            if ring.note:
+                logger.warning(ring.note)
+            self._worker = Worker("copy incident")
             with owner:
-                self._folder = self.incident = None
-            return
-        if ring.note:
-            logger.warning(ring.note)
-        self._worker = Worker("copy incident")
-        with owner:
-            for each in self._waiting:
-                ring.append(*each)
-            self._waiting.clear()
-            self._ring, self._append = ring, ring.append
+                for each in self._waiting:
+                    ring.append(*each)
+                self._waiting.clear()
+                self._ring, self._append = ring, ring.append
 
     def close(self) -> None:
         """Close the ring; later records are discarded. Waits OPENING_S at most for one that is being opened."""
@@ -339,24 +336,15 @@ class Recorder:
                 and 0 <= waited_ns < form.NO_STEP
             ):
                 token = 0 if event.lease is None else token_number(event.lease)
-                self._command(event, after_ns, waited_ns, token, ended)
+                self._command(event, after_ns=after_ns, waited_ns=waited_ns, lease=token, ended=ended)
                 return
             self._command(event)
         self._append(form.STEP, now_ns, form.step(instant_ns, to_json(plain_event(event)), ended))
 
-    def _command(
-        self,
-        one: Request,
-        after_ns: int = form.NO_STEP,
-        waited_ns: int = 0,
-        lease: int = 0,
-        ended: Sequence[tuple[int, str]] = (),
-    ) -> None:
-        of_step = after_ns, waited_ns, lease, ended
-        fields = form.command(
-            one.number, one.verb, one.key, one.source, one.sent_ms, one.targets, one.source_id, *of_step
-        )
-        self._append(form.COMMAND, one.received_ns, fields)
+    def _command(self, request: Request, **of_step: Any) -> None:
+        """Record a request; `of_step` is what `form.command` takes of its step, if it has one."""
+        fixed = request.number, request.verb, request.key, request.source, request.sent_ms, request.targets
+        self._append(form.COMMAND, request.received_ns, form.command(*fixed, source_id=request.source_id, **of_step))
 
     def broke(self, taken: Taken) -> None:
         """Record the event that broke the gateway, unless its step is recorded."""

@@ -69,15 +69,6 @@ class Request:
         return bool(self.targets) and all(op.op is OP_STOP for _, op in self.targets)
 
 
-def targets_by_leg(targets: Targets) -> dict[int, Targets]:
-    """Return the targets of each leg."""
-    found: dict[int, Targets] = {}
-    for target in targets:
-        leg = target[0] // 10
-        found[leg] = (*found.get(leg, ()), target)
-    return found
-
-
 @final
 @dataclass(eq=False, kw_only=True)
 class Command(Request):
@@ -103,8 +94,11 @@ class Command(Request):
 
     @property
     def by_leg(self) -> dict[int, Targets]:
-        """The targets of each leg."""
-        return targets_by_leg(self.targets)
+        found: dict[int, Targets] = {}
+        for target in self.targets:
+            leg = target[0] // 10
+            found[leg] = (*found.get(leg, ()), target)
+        return found
 
     @property
     def stops(self) -> Targets:
@@ -431,9 +425,7 @@ def results(effects: Sequence[Effect], failed: Sequence[Transmit] = (), why: str
     `failed` are the frames that were not written, because of the fault `why`, which rejects the commands in these
     frames. Requests without a frame, such as a reset, have taken effect.
     """
-    lost: list[Command] = []
-    for transmit in failed:
-        lost += transmit.commands
+    lost = [command for transmit in failed for command in transmit.commands]
     found: list[Result] = []
     for effect in effects:
         match effect:

@@ -67,7 +67,6 @@ class Stagger:  # mutants accepted (Step): a clock begins at 0
         """When the next leg may start."""
 
     def started(self, now_ns: int) -> None:
-        """Record the start of a leg."""
         self.next_ns = now_ns + self.pause_ns
 
 

@@ -1,18 +1,20 @@
 """Reads a message into a Command, a Reset, or a Rejection, by the table of command keys: one row for each target. Pure.
 
 A new key needs a row here. The row determines which rings are read again (`zenoh_io/rings.py`), which messages may be
-Stops, the meaning of a delete and of lost messages (`losses`), and how a payload is read. Only the emergency stop's key
-is known elsewhere, too: it has its own rings and threads (`zenoh_io/inbox.py`, `runtime/conductor.py`).
+Stops, the meaning of a delete and of lost messages, and how a payload is read. Only the emergency stop's key is known
+elsewhere, too: it has its own rings and threads (`zenoh_io/inbox.py`, `runtime/conductor.py`).
 """
 
+import json
 import re
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
 from pydantic import ValidationError
 
-from gateway.model.frames import SETS, STARTS, STOP, Frame, OneLeg, OneServo, ServoOp, servo_ids_of
+from gateway.model.frames import OP_START, SETS, STARTS, STOP, Frame, OneLeg, OneServo, ServoOp, servo_ids_of
 from gateway.robot.core.events import Command, Reset, Targets
 from gateway.robot.core.flat import into_dicts
 from gateway.robot.core.message import Received, Verb
@@ -20,6 +22,7 @@ from gateway.robot.core.rejections import (
     BAD_ENCODING,
     TOO_MANY_FIELDS,
     Rejection,
+    each_name_once,
     echo_of,
     explain,
     name_given_twice,
@@ -214,6 +217,39 @@ def words_of_stop(received: Received) -> bytes | None:
     row = TARGETS[key.target]
     by_key = row.read is None or received.size > MAX_PAYLOAD_BYTES
     return payload if row.servos[key.number] and (by_key or _may_contain_stop(payload)) else None
+
+
+# ---- Stops that may have been lost, or rejected for their form. A Stop too many is harmless.
+
+LOST: Final = (
+    "messages were lost on the way to the gateway: more came at once than it keeps, and a stop may be among them, "
+    "so it counts as received; start again once the link is fast enough"
+)
+"""A flood pushes older messages out of its key's ring. So the key's servos are stopped, except those that one of the
+remaining messages starts."""
+
+
+def not_started(stops: Targets, by: Targets) -> Targets:
+    """Return those of the Stops of lost messages that are still needed after an accepted message with these targets."""
+    started = {servo_id for servo_id, op in by if op.op is OP_START}
+    return tuple(stop for stop in stops if stop[0] not in started)
+
+
+def stops_in(rejected: Received) -> Targets:
+    """Return Stops for all servos of a rejected message's key if the message may contain a Stop."""
+    key = rejected.target
+    if key is None or words_of_stop(rejected) is None:
+        return ()
+    with suppress(ValueError, RecursionError):
+        payload = json.loads(rejected.payload, object_pairs_hook=each_name_once)
+        if isinstance(payload, dict) and isinstance(payload.get("source"), str):
+            del payload["source"]  # a name may contain any word
+        if "stop" not in json.dumps(payload, ensure_ascii=False).casefold():
+            return ()
+    return stops_of(key)
+
+
+# ---- parts of a message
 
 
 def is_json(encoding: str) -> bool:

@@ -153,7 +153,7 @@ class Legs:
             command.left += len(self.servos) - len(command.stops)
             by_leg = {leg.number: tuple((servo.servo_id, STOP) for servo in leg.servos) for leg in self}
         taken = self._taken_over(command, by_leg)
-        moved = [self.by_number[number] for number, targets in by_leg.items() if not stops_some or _moves(targets)]
+        moved = [self.by_number[number] for number, targets in by_leg.items() if _moves(targets)]
         for leg in moved:
             leg.commanded_ns = now_ns  # a Stop does not count: it does not keep the leg's other servos running
             for servo_id, op in by_leg[leg.number]:
@@ -165,7 +165,7 @@ class Legs:
             effects += self._send(leg, now_ns)
         if whole and command.moves:
             effects.append(withdrawn(command, Reason.WHOLE_ROBOT, _MIXED))
-        return effects + taken if taken else effects
+        return effects + taken
 
     def stop_for(self, command: Command, rejected: Rejected, now_ns: int, *, write: bool) -> list[Effect]:
         """Carry out only the Stops of a rejected command. Not `write`: the Stops are already written."""
@@ -237,13 +237,10 @@ class Legs:
 
     def _take(self, leg: Leg, servo: Servo, op: ServoOp, command: Command, now_ns: int) -> list[Effect]:
         """Let a command's target wait for its leg's frame."""
-        effects = self._replaced(servo) if servo.target is not None else []
-        if servo.life is OFF:
-            servo.take(op, command, self._pace.begin_cdeg(servo, op, now_ns))
-            return effects
+        effects = self._replaced(servo)
         if servo.sender != command.sender:
             self._pace.take_over(leg, servo)
-        servo.take(op, command)
+        servo.take(op, command, self._pace.begin_cdeg(servo, op, now_ns))
         return effects
 
     # ---- frames that move

@@ -324,8 +324,8 @@ class Supervisor:
     def _why_not(self, request: Barred) -> Why | None:
         kind = type(request)
         if self.mode in _REJECTING and not (kind is Reset and self.mode is Mode.ESTOPPED):
-            at_fault = Reason.BUS_FAULT, self._rules.wire_fault
-            return at_fault if self.mode is Mode.BUS_FAULT else _REJECTING[self.mode]
+            reason, detail = _REJECTING[self.mode]
+            return reason, detail or self._rules.wire_fault
         if kind is not Command or request.moves:
             asked = None if request.lease is None else self.lease  # even a free lease objects to an old token
             for each in self._interlocks:
@@ -358,9 +358,10 @@ class Supervisor:
         recovered, self._opened, self.legs.sends = self._opened, True, True
         effects = self._stop_all(Halt(Cause.STARTUP, Reason.BUS_FAULT, self._rules.wire_fault), now_ns)
         if recovered:
-            of_bus, self._fault = self._fault is Kind.BUS_FAULT, Kind.BUS_FAULT
-            by_wire, by_it = (self._rules.wire, Kind.BUS_RECOVERED), ("the controller", Kind.CONTROLLER_RETURNED)
-            who, kind = by_wire if of_bus else by_it
+            who, kind = self._rules.wire, Kind.BUS_RECOVERED
+            if self._fault is not Kind.BUS_FAULT:
+                who, kind = "the controller", Kind.CONTROLLER_RETURNED
+            self._fault = Kind.BUS_FAULT
             effects.append(Announce(kind, done=f"{who} answers again; all servos are stopped"))
         return effects
 

@@ -31,8 +31,7 @@ from gateway.robot.core.events import (
     Targets,
     TimePassed,
 )
-from gateway.robot.core.intake import read, stops_of
-from gateway.robot.core.losses import DETAIL, not_started, stops_in
+from gateway.robot.core.intake import LOST, not_started, read, stops_in, stops_of
 from gateway.robot.core.message import Messages, Outbox, Received, Verb
 from gateway.robot.core.rejections import Rejection, echo_of
 from gateway.robot.core.supervisor import Supervisor
@@ -332,7 +331,7 @@ class Conductor:
             command = Command(stops, key=key, number=next(self.numbers), lost=True)
             self._step(command, instant_ns)
             legs = legs_of(command.servo_ids)
-            self.reports.announce(Announce(Kind.OVERFLOW, DETAIL, None, key, legs, Reason.OVERFLOW))
+            self.reports.announce(Announce(Kind.OVERFLOW, LOST, None, key, legs, Reason.OVERFLOW))
 
     def _emergency_stop(self, received: Received, instant_ns: int) -> None:
         # The payload is read after the Stops: even a malformed one means that somebody wants the robot to stop.

@@ -165,19 +165,23 @@ class EstopKeeper:
 
     def _changed(self) -> None:
         """Have a new emergency stop (its Stops are written) or a reset written to the disk."""
-        latch, reports, before = self._conductor.supervisor.latch, self._conductor.reports, self._wanted
-        if latch.since_ns is None:
+        before, self._wanted = self._wanted, self._present
+        if not self._wanted.engaged:
             self._unknown = None
-            self._wanted = KeptEstop(latch.number)
             self._show()
-        else:
-            self._wanted = KeptEstop(latch.number, True, self._conductor.reports.estop_source, reports.estop_since)
         # mutants accepted (Step): any number
         at_once = self._wanted.engaged != (before or self._written or KeptEstop(0)).engaged
         if self._wanted != self._written and (at_once or self._idle.is_set()):
             self._idle.clear()
             self._slow.set_in(SLOW_S)
             self._wakes.put(at_once)
+
+    @property
+    def _present(self) -> KeptEstop:
+        latch, reports = self._conductor.supervisor.latch, self._conductor.reports
+        if latch.since_ns is None:
+            return KeptEstop(latch.number)
+        return KeptEstop(latch.number, True, reports.estop_source, reports.estop_since)
 
     def when_kept(self, number: int, then: Callable[[bool], None]) -> None:
         """Call `then` as owner: True once emergency stop `number` is on the disk, False if it is not within KEPT_S."""
@@ -265,8 +269,7 @@ class EstopKeeper:
             return
         self._show()
         if before is None:
-            # mutants accepted (AndWithOr): something is wanted by then
-            engaged = self._wanted is not None and self._wanted.engaged
+            engaged = self._present.engaged
             what = "the emergency stop" if engaged else "the end of the emergency stop"
             then = "may forget it" if engaged else "engages it again"
             detail = f"{what} is not kept, so a restart {then}: {fault}"
@@ -288,12 +291,7 @@ class EstopKeeper:
 
     def hand_over(self) -> dict[str, str]:
         """Return the emergency stop as an environment variable. The caller owns the state, which has ended."""
-        latch, reports = self._conductor.supervisor.latch, self._conductor.reports
-        if latch.unknown:
-            return {}
-        if latch.since_ns is None:
-            return {HANDED_OVER: _text(KeptEstop(latch.number))}
-        return {HANDED_OVER: _text(KeptEstop(latch.number, True, reports.estop_source, reports.estop_since))}
+        return {} if self._conductor.supervisor.latch.unknown else {HANDED_OVER: _text(self._present)}
 
 
 def take_over() -> KeptEstop | None:

@@ -151,12 +151,6 @@ class Executor:
 
     # ---- the effects
 
-    def announce(self, event: Announce, outcome: Outcome) -> None:
-        """Publish an event of a step: what its frames do only if they are written."""
-        found = event.outcome(outcome.unwritten, outcome.fault)
-        if found is not None:
-            self.reports.announce(found)
-
     def carry_out(self, effects: Sequence[Effect], taken: Taken) -> Outcome:
         """Write the frames in batches, then record, answer and publish. Return the outcome.
 
@@ -172,8 +166,8 @@ class Executor:
                 continue
             if effect.kind is _LEGS_STOPPED:
                 self.halts.append(effect)
-            else:
-                self.announce(effect, outcome)
+            elif (event := effect.outcome(outcome.unwritten, outcome.fault)) is not None:
+                self.reports.announce(event)
         if self.halts and outcome.written and outcome.fault is None:
             halts, self.halts = self.halts, []
             for each in halts:

@@ -8,9 +8,9 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Final
 
+from gateway.host.directories import runtime_directory
 from gateway.host.settings_table import ControllerSettings, SpiSettings, WireSettings
 from gateway.model.frames import STOP_REPEAT_MS, STOP_REPEATS, stop_leg
-from gateway.robot.host import stop_note
 from gateway.robot.spi import Wire, outside
 from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.cyclic import CyclicBus
@@ -55,7 +55,7 @@ def stop_servos(
         fault = fault_now or fault
     bus.close()
     if not unstopped:
-        stop_note.leave(first_ns, time.monotonic_ns())
+        _leave_note(first_ns, time.monotonic_ns())
     noticed = notice.end()
     if unstopped and fault is not None:
         raise fault
@@ -112,3 +112,29 @@ def stop_once(bus: Wire, *, opened: bool = False) -> tuple[set[int], Exception |
         if report.fault is not None:
             fault, opened = report.fault, False
     return stopped, fault
+
+
+# ---- a note of when `stop-servos` wrote its Stops, for the black box of the next gateway
+
+_NOTE: Final = "stop-servos"
+"""In the service's runtime directory, in memory: a reboot ends both the note and the monotonic clock of its times. Only
+people use it, so every error is ignored."""
+
+
+def _leave_note(first_ns: int, last_ns: int) -> None:
+    """Note the times after the first and the last round of Stops, in ns of the monotonic clock. Never raises."""
+    folder = runtime_directory()
+    if folder is not None:
+        with suppress(OSError):
+            (folder / _NOTE).write_text(f"{first_ns} {last_ns}")
+
+
+def take_note() -> tuple[int, ...]:
+    """Remove the note and return its times; empty if there is no readable one. Never raises."""
+    folder = runtime_directory()
+    with suppress(OSError, ValueError):
+        if folder is not None:
+            found = tuple(map(int, (folder / _NOTE).read_text().split()))
+            (folder / _NOTE).unlink()
+            return found
+    return ()

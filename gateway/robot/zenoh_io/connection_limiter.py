@@ -13,7 +13,6 @@ import logging
 import os
 import socket
 import stat
-import threading
 import time
 from collections.abc import Callable, Collection
 from contextlib import suppress
@@ -23,7 +22,7 @@ import zenoh
 
 from gateway.certs import BUTTON, OPERATOR
 from gateway.certs.access import role_of
-from gateway.host.realtime import PAGE_PRIORITY, prefer_thread
+from gateway.host.worker import Worker
 from gateway.rate_limit import RateLimit
 from gateway.zenoh.endpoints import host_and_port
 from gateway.zenoh.limits import MAX_SESSIONS, OPERATORS_PLACES
@@ -46,30 +45,26 @@ class ConnectionLimiter:
         self._sessions: list[str] = []
         """The Zenoh ids, in the order of their arrival."""
         self._warnings = RateLimit(1 / SAY_AGAIN_S, 1)
-        # No ring: Zenoh's `recv` wakes ten times a second. One mark is enough: after each event all links are read.
-        self._changed = threading.Event()
-        self._closed = False
-        self._listener = session.info.declare_link_events_listener(lambda _: self._changed.set(), history=True)
-        self.thread = threading.Thread(target=self._run, name="connection_limiter", daemon=True)
-        self.thread.start()
+        self._worker = Worker("connection_limiter")
+        # No ring: Zenoh's `recv` wakes ten times a second.
+        self._listener = session.info.declare_link_events_listener(self._changed, history=True)
 
     def close(self) -> None:
         """End the thread. Blocks, so do not call it on the loop's thread."""
         with suppress(zenoh.ZError):
             self._listener.undeclare()
-        self._closed = True
-        self._changed.set()
-        self.thread.join()
+        self._worker.close()
 
-    def _run(self) -> None:
-        prefer_thread(PAGE_PRIORITY)
-        with suppress(zenoh.ZError):  # the session is closed
-            while self._changed.wait() and not self._closed:
-                self._changed.clear()
-                self._check_links()
+    def _changed(self, _: object) -> None:
+        """Check the links soon. One check that has not begun is enough, since it reads all links."""
+        if not self._worker.waiting:
+            self._worker.do(self._check_links)
 
     def _check_links(self) -> None:
-        links = self._session.info.links()
+        try:
+            links = self._session.info.links()
+        except zenoh.ZError:  # the session is closed
+            return
         present = [str(link.zid) for link in links]
         self._sessions = [zid for zid in dict.fromkeys([*self._sessions, *present]) if zid in present]
         self._count(len(self._sessions))

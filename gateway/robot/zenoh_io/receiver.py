@@ -49,8 +49,7 @@ class ReceiverThread:
         """When the item in hand was received; None: there is none."""
         self._seen_ns: int | None = None
         self._stuck_beats = 0
-        self._runs = True
-        self.thread = threading.Thread(target=self._wait, name=name, daemon=True)
+        self.thread = threading.Thread(target=self._receive, name=name, daemon=True)
         self.thread.start()
 
     @property
@@ -65,13 +64,7 @@ class ReceiverThread:
             self._stuck_beats, self._seen_ns = 0, in_hand_ns
         else:
             self._stuck_beats += 1
-        return self._runs and self._stuck_beats < STUCK_BEATS
-
-    def _wait(self) -> None:
-        try:
-            self._receive()
-        finally:
-            self._runs = False
+        return self.thread.is_alive() and self._stuck_beats < STUCK_BEATS
 
     def _receive(self) -> None:
         prefer_thread(self._priority)

@@ -182,7 +182,6 @@ class Upkeep:
             insert(self._config, "listen/endpoints", endpoints, "zenoh.listen")
 
     def start(self, session: zenoh.Session) -> None:
-        """Start the thread."""
         self._thread = threading.Thread(target=self._run, args=(session,), name="upkeep", daemon=True)
         self._thread.start()
 

@@ -19,13 +19,12 @@ from gateway.model.frames import PREAMBLE_ZEROS, ZERO, Framing, stop_leg
 from gateway.model.power_board import ALL, set_supply
 from gateway.model.protocols import SpiProtocol
 from gateway.rate_limit import NS_PER_MS
-from gateway.robot.host import stop_note
 from gateway.robot.power import last_cut
 from gateway.robot.power.interface import LineError
 from gateway.robot.power.last_cut import SupplyCut
 from gateway.robot.spi import Batch, SpiDevice, stop_all
 from gateway.robot.spi.bus import Bus
-from gateway.robot.spi.stop_all import stop_before_service, stop_once, stop_servos
+from gateway.robot.spi.stop_all import stop_before_service, stop_once, stop_servos, take_note
 from gateway.robot.spi.uart import Uart
 from schemas.robot import LEGS
 from tests.support.boards import Adapter, BoardBus
@@ -296,7 +295,7 @@ def test_stop_servos_repeats_its_stops_and_goes_on_while_a_leg_got_none(
     assert scene.sleeps_ms == [20] * pauses
     assert scene.log[-2:] == ["closed", "ended"]
     assert scene.log.count("given") == 1 + pauses
-    assert stop_note.take() == (first_ns, 1 + pauses)
+    assert take_note() == (first_ns, 1 + pauses)
 
 
 @pytest.mark.parametrize("failing", [[3], LEGS])
@@ -306,7 +305,7 @@ def test_stop_servos_ends_with_the_fault_if_a_leg_got_no_stop(failing: Iterable[
         stops(scene)
     assert scene.sleeps_ms == [20] * 13
     assert scene.log[-2:] == ["closed", "ended"]
-    assert stop_note.take() == ()
+    assert take_note() == ()
 
 
 def test_the_supply_is_taken_and_the_notice_given_after_the_first_stops(stops: Stops) -> None:

@@ -11,8 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.model.frames import Op
-from gateway.robot.core.intake import servos_of
-from gateway.robot.core.losses import stops_in
+from gateway.robot.core.intake import servos_of, stops_in
 from gateway.robot.core.message import Received, Verb
 from schemas import keys
 from schemas.command import MAX_PAYLOAD_BYTES
