@@ -98,7 +98,7 @@ class Calibrations(RequestAnswers):
         except ValidationError as error:
             unread = explain(error)
         if unread is not None:
-            return partial(self.reject, (source, source), unread.reason, unread.detail, reply)
+            return partial(self.reject, (source, source), unread, reply)
         event = Calibrate(change=change, key=self.key, sent_ms=change.sent_ms, lease=change.lease, reply=reply)
         event.source, event.source_id = change.source or source, source
         return partial(self.change, event)

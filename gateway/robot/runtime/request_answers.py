@@ -65,7 +65,7 @@ class RequestAnswers(ABC):
         elif query.encoding is not None and not is_json(str(query.encoding)):
             unread = BAD_ENCODING
         if unread is not None:
-            task: OwnersTask = partial(self.reject, (source, source), unread.reason, unread.detail, reply)
+            task: OwnersTask = partial(self.reject, (source, source), unread, reply)
         else:
             task = self.read(b"" if payload is None else payload.to_bytes(), now_ns, reply, source)
         return task if self.pause_s is None else partial(_with_pause, task, self.pause_s)
@@ -78,10 +78,10 @@ class RequestAnswers(ABC):
         """Return an accepting answer with these fields, as JSON."""
         return self.ack(accepted=True, **fields).model_dump_json().encode()
 
-    def reject(self, sender: Sender, reason: Reason, detail: str, reply: Reply, **more: object) -> None:
+    def reject(self, sender: Sender, why: Rejection, reply: Reply, **more: object) -> None:
         """Reject a request and publish the rejection. `more` are further fields of the answer."""
-        self._conductor.executor.reject_unread(self.key, sender, detail, reason)
-        reply(self.ack(accepted=False, reason=reason, detail=detail, **more).model_dump_json().encode())
+        self._conductor.executor.reject_unread(self.key, sender, why.detail, why.reason)
+        reply(self.ack(accepted=False, reason=why.reason, detail=why.detail, **more).model_dump_json().encode())
 
 
 def _with_pause(task: OwnersTask, pause_s: float) -> float:
@@ -120,15 +120,14 @@ class _ProvedAnswers(RequestAnswers):
         try:
             request = self.schema.validate_json(payload)
         except ValidationError as error:
-            unread = explain(error)
-            return partial(self.reject, (source, source), unread.reason, unread.detail, reply)
+            return partial(self.reject, (source, source), explain(error), reply)
         if isinstance(request, Challenge):
             nonce = None if self._checker is None else self._nonces.issue(self._fresh(), now_ns)
             return partial(reply, self.accepted(nonce=nonce))
         if isinstance(request, Claim | Register) and self._checker is not None:
             denied = self._why_denied(self._checker, request, now_ns)
             if denied is not None:
-                return partial(self.reject, (request.source, source), self.denied, denied, reply)
+                return partial(self.reject, (request.source, source), Rejection(self.denied, denied), reply)
         event = self._event(request, now_ns)
         event.source_id = source
         return partial(self.ask, event, reply)
@@ -162,7 +161,8 @@ class _ProvedAnswers(RequestAnswers):
             reply(self.accepted(**self._granted(answer)))
             return
         more = {"holder": self._conductor.supervisor.lease.holder} if isinstance(request, LeaseRequest) else {}
-        self.reject((request.source, request.source_id), answer.reason, answer.detail, reply, **more)
+        why = Rejection(answer.reason, answer.detail)
+        self.reject((request.source, request.source_id), why, reply, **more)
 
 
 class LeaseAnswers(_ProvedAnswers):

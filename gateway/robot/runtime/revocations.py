@@ -22,6 +22,7 @@ from gateway.files import durable
 from gateway.host.directories import state_directory
 from gateway.robot.core.events import NOBODY, Announce
 from gateway.robot.core.message import Reply
+from gateway.robot.core.rejections import Rejection
 from gateway.robot.host.disk import DiskWriter
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.request_answers import PAUSE_S, RequestAnswers
@@ -127,10 +128,10 @@ class Revocations(RequestAnswers):
                 return partial(self.answer, reply)
             return partial(self.change, certs.revocation.parse(text.encode(), self._kept.cas), reply)
         except ValidationError:
-            detail = 'the payload is not {"revoked": "a certificate revocation list as PEM"}'
-            return partial(self.reject, (source, source), Reason.INVALID, detail, reply)
+            why = Rejection(Reason.INVALID, 'the payload is not {"revoked": "a certificate revocation list as PEM"}')
         except ConfigError as error:
-            return partial(self.reject, (source, source), Reason.REVOCATION_DENIED, str(error), reply)
+            why = Rejection(Reason.REVOCATION_DENIED, str(error))
+        return partial(self.reject, (source, source), why, reply)
 
     def answer(self, reply: Reply) -> None:
         """Answer with the list in force: its number (0: there is none) and its PEM text."""
@@ -148,7 +149,7 @@ class Revocations(RequestAnswers):
         if self._writes:
             fault = "another list is being saved; try again"
         if fault is not None:
-            self.reject(NOBODY, Reason.REVOCATION_DENIED, fault, reply)
+            self.reject(NOBODY, Rejection(Reason.REVOCATION_DENIED, fault), reply)
             return
         self._writes = True
         # On a background thread, since a disk may take seconds.
@@ -157,7 +158,7 @@ class Revocations(RequestAnswers):
     def _put_in_force(self, found: "RevocationList", reply: Reply, fault: str | None) -> None:
         self._writes = False
         if fault is not None:
-            self.reject(NOBODY, Reason.REVOCATION_DENIED, fault, reply)
+            self.reject(NOBODY, Rejection(Reason.REVOCATION_DENIED, fault), reply)
             return
         names = ", ".join(sorted(found.common_names - self._kept.common_names)) or "nobody else"
         self._kept = self._kept._replace(known=found)  # so that no older list is accepted before the service ends

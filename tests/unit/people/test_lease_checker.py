@@ -19,6 +19,7 @@ from gateway.certs.proof import WATCHING, Nonces, ProofChecker
 from gateway.people.client.lease_requests import Identity
 from gateway.robot.core.events import RequestAnswer, Sender
 from gateway.robot.core.message import Reply
+from gateway.robot.core.rejections import Rejection
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.request_answers import CHECKS_PER_S, NONCE_NS, ButtonAnswers, LeaseAnswers
 from gateway.robot.settings import Settings
@@ -201,8 +202,8 @@ class Desk:
         self.requests.append(request)
         reply(b"{}")
 
-    def reject(self, sender: Sender, reason: Reason, detail: str, reply: Reply, **_: object) -> None:
-        self.rejected.append((sender, reason, detail))
+    def reject(self, sender: Sender, why: Rejection, reply: Reply, **_: object) -> None:
+        self.rejected.append((sender, why.reason, why.detail))
         reply(b"{}")
 
     def answer_to(self, request: dict[str, Any]) -> Any:

@@ -178,11 +178,9 @@ TOKEN = "0123456789abcdef" * 2
 
 def read(payload: bytes) -> CalibrationCommand | Rejection:
     """Return the change that is decided for a payload, or its rejection."""
-
-    def reject(_source: str | None, reason: Reason, detail: str, _reply: object) -> Rejection:
-        return Rejection(reason, detail)
-
-    answers: Any = SimpleNamespace(key=keys.CALIBRATION_CMD, change=lambda event: event.change, reject=reject)
+    answers: Any = SimpleNamespace(
+        key=keys.CALIBRATION_CMD, change=lambda event: event.change, reject=lambda _sender, why, _reply: why
+    )
     return cast(CalibrationCommand | Rejection, Calibrations.read(answers, payload, 0, print)())
 
 
