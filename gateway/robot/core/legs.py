@@ -199,9 +199,7 @@ class Legs:
         sender, (source, source_id) = command.sender, command.sender
         for number, targets in by_leg.items():
             leg = self.by_number[number]
-            if command.lost:
-                leg.sender = NOBODY
-            elif leg.sender != sender:
+            if leg.sender != sender:
                 (before, _), leg.sender = leg.sender, sender
                 if leg.armed and (source is not None or _moves(targets)):
                     new, old = ("somebody without a name" if name is None else name for name in (source, before))

@@ -178,8 +178,7 @@ class Supervisor:
             due = False
         else:
             for each in self._interlocks:
-                if each.down is not None:
-                    effects += each.bring_down(now_ns)
+                effects += each.bring_down(now_ns)
         # 3. deadlines of legs
         if due:
             for each in self._of_legs:
