@@ -64,9 +64,6 @@ class AnySender(BaseModel):
     source: Source | None = None
 
 
-SENDER: Final[TypeAdapter[AnySender]] = TypeAdapter(AnySender)
-
-
 class Move(Closed):
     """Energise a servo and set its angle (`start`), or set the angle of one that runs (`set`)."""
 

@@ -29,7 +29,7 @@ from gateway.robot.core.rejections import (
     too_large,
 )
 from schemas import keys
-from schemas.command import MAX_PAYLOAD_BYTES, SENDER, SERVO_COMMAND, LegCommand, LegsCommand, ResetCommand, Sender
+from schemas.command import MAX_PAYLOAD_BYTES, SERVO_COMMAND, AnySender, LegCommand, LegsCommand, ResetCommand, Sender
 from schemas.keys import CommandKey, Target
 from schemas.robot import JOINTS, LEGS, SERVO_IDS
 from schemas.words import Reason
@@ -260,6 +260,6 @@ def is_json(encoding: str) -> bool:
 def named_source(payload: bytes) -> str | None:
     """Return the sender in the payload of an emergency stop, or None. Any payload stops. Never raises."""
     try:
-        return SENDER.validate_json(payload).source
+        return AnySender.model_validate_json(payload).source
     except ValidationError:
         return None
