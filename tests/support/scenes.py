@@ -12,7 +12,6 @@ line continues in the next one, from its arrow on. A first line `rules repeats=2
 (otherwise those of Scenes), and `unopened` that the bus is not open yet.
 """
 
-import ast
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Final, TypeVar, cast
@@ -20,7 +19,7 @@ from typing import Any, Final, TypeVar, cast
 import pytest
 
 from gateway.model.calibration import RobotCalibration
-from gateway.model.frames import STOP, OneServo, Op, ServoOp, servo_ids_of
+from gateway.model.frames import OneServo, Op
 from gateway.rate_limit import NS_PER_MS
 from gateway.robot.core import events
 from gateway.robot.core.rules import Rules
@@ -31,7 +30,7 @@ from schemas.words import Kind
 from tests.support.history import announced, frames_of, is_coalesced, spelled_out, supply_of
 from tests.support.model_check import pending
 from tests.support.oracle import Oracle
-from tests.support.small_robots import Targets
+from tests.support.small_robots import settings_of, targets_of
 
 T = TypeVar("T", bound=events.Effect)
 Options = dict[str, str]
@@ -256,14 +255,8 @@ def lines_of(scene: str) -> list[str]:
 
 
 def rules_of(words: str) -> Rules:
-    """Return the rules in `repeats=2, period_ms=1000`. By default Stops are not repeated, as in Scenes."""
-    call = ast.parse(f"rules({words})", mode="eval").body
-    assert isinstance(call, ast.Call)
-    known: dict[str, Any] = {"repeats": 0, "rest_runs": 0}
-    for each in call.keywords:
-        name, value = str(each.arg), ast.literal_eval(each.value)
-        known |= {f"{name[:-3]}_ns": round(value * NS_PER_MS)} if name.endswith("_ms") else {name: value}
-    return Rules(**known)
+    """Read `repeats=2, period_ms=1000`. By default Stops are not repeated, as in Scenes."""
+    return Rules(**{"repeats": 0, "rest_runs": 0, **settings_of(words, "ms", NS_PER_MS)})
 
 
 def spelled(expected: str) -> list[str]:
@@ -284,24 +277,6 @@ def alike(said: Sequence[str], expected: Sequence[str]) -> bool:
     if first == "…":
         return any(alike(said[place:], rest) for place in range(len(said) + 1))
     return bool(said) and said[0] == first and alike(said[1:], rest)
-
-
-def targets_of(words: str) -> Targets:
-    """`leg 1 start 90`, `leg 1 set 80 | stop | set 70`, `servo 11 stop`, `legs 123 stop`, and these joined by `+`."""
-    found: Targets = ()
-    for each in words.split(" + "):
-        of, number, word = each.strip().split(" ", 2)
-        legs = [] if of == "servo" else map(int, number)
-        servo_ids = [servo_id for leg in legs for servo_id in servo_ids_of(leg)] or [int(number)]
-        ops = [op_of(part.strip()) for part in word.split("|")]  # one is for all
-        found += tuple(zip(servo_ids, ops * (len(servo_ids) // len(ops)), strict=True))
-    return found
-
-
-def op_of(word: str) -> ServoOp:
-    """`start 90`, `set 45.5` or `stop`."""
-    name, _, angle = word.partition(" ")
-    return STOP if name == "stop" else ServoOp(Op[name.upper()], round(float(angle) * 100))
 
 
 def ids(words: str) -> tuple[int, ...]:

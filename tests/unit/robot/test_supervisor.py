@@ -11,7 +11,8 @@ from gateway.robot.core.supervisor import IllegalEvent
 from schemas.robot import SERVO_IDS
 from schemas.words import Mode
 from tests.support.model_check import copied, key, pending
-from tests.support.scenes import play, scene_test, targets_of
+from tests.support.scenes import play, scene_test
+from tests.support.small_robots import targets_of
 from tests.support.transitions import TRANSITIONS
 
 
