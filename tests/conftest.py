@@ -18,8 +18,8 @@ from hypothesis import HealthCheck
 from hypothesis import settings as hypothesis_settings
 
 from tests.support import runs, schedule
-from tests.support.lacks import skip_where_lacking
 from tests.support.runs import Run
+from tests.support.schedule import skip_where_lacking
 
 # A busy machine is no fault of the code under test: what may not take long has a test of its own, with a bound.
 hypothesis_settings.register_profile(

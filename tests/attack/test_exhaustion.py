@@ -28,9 +28,8 @@ from schemas.words import Cause, Mode, Reason
 from tests.benchmarks.processes import fds, rss_kb, threads
 from tests.hil.bed import SpiTestbed
 from tests.hil.wire import STOPS
-from tests.support.gateway_process import Gateway, free_port
+from tests.support.gateway_process import HOST, Gateway, Secured, free_port
 from tests.support.heard import frames, states
-from tests.support.secured import HOST, Secured
 from tests.support.waiting import Closing, wait_until
 from tests.zenoh.test_reports import read, value
 

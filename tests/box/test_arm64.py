@@ -13,7 +13,7 @@ from release.deb import deb, dependencies
 from tests.box.box import PATH_INSIDE, lacks_tools
 from tests.box.installed import WHEN
 from tests.support.child import Child
-from tests.support.lacks import skip_where
+from tests.support.schedule import skip_where
 
 pytestmark = [pytest.mark.nightly, pytest.mark.alone]
 

@@ -18,8 +18,8 @@ from tests.box.installed import NAME, Packages, wait_for_stops
 from tests.box.test_pages import debian
 from tests.hil.bed import SpiTestbed, missing_packages
 from tests.support.child import Child
-from tests.support.lacks import skip_where
 from tests.support.pages import SUDO, blocks, programs
+from tests.support.schedule import skip_where
 from tests.support.waiting import Closing
 
 pytestmark = pytest.mark.nightly

@@ -23,10 +23,10 @@ from schemas.words import Kind
 from tests.hil.bed import SpiTestbed, Transfer
 from tests.hil.wire import LATE_S, ended
 from tests.support.controllers import Elkapod
-from tests.support.elkapod import angles_of
 from tests.support.fixtures import client_fixture
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events, servos_on, states
+from tests.support.robot import angles_of
 from tests.support.waiting import wait_until
 
 pytestmark = pytest.mark.hil

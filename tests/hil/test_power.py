@@ -23,10 +23,10 @@ from tests.hil.test_elkapod import ElkapodBed
 from tests.hil.wire import LATE_S, START_3, STOPS, Wire, start
 from tests.support.boards import RecordedBoard, answers_steadily
 from tests.support.child import frozen
-from tests.support.elkapod import angles_of
 from tests.support.fixtures import client_fixture
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.heard import events, servos_on, states
+from tests.support.robot import angles_of
 
 pytestmark = pytest.mark.hil
 

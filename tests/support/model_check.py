@@ -18,26 +18,9 @@ from typing import Any, Final
 
 from gateway.model.calibration import RobotCalibration
 from gateway.rate_limit import NS_PER_MS
+from gateway.robot.core import events
 from gateway.robot.core.backlog import Stretch
 from gateway.robot.core.buttons import Buttons, Registration
-from gateway.robot.core.events import (
-    BodyMeasured,
-    BusFailed,
-    BusOpened,
-    ButtonRequest,
-    Calibrate,
-    CalibrationSaved,
-    Command,
-    EmergencyStop,
-    EstopKept,
-    Event,
-    LeaseRequest,
-    Rejected,
-    Request,
-    Reset,
-    ShutDown,
-    TimePassed,
-)
 from gateway.robot.core.gates import Gates
 from gateway.robot.core.interlock import Interlock
 from gateway.robot.core.lease import RobotLease
@@ -107,11 +90,11 @@ _KNOWN: Final = (
     (Servo, "sender known stopped_ns stopped_by"),
     (RateSlots, "period_ns oldest_ns next_ns taken_ns _kept_ns _least_ns"),
     (
-        Command,
+        events.Command,
         "targets key source source_id sent_ms lease reply verb received_ns number lost rejected moves frames",
     ),  # these never change
-    (Command, "written stopped"),  # by the executor
-    (Command, "left coalesced"),
+    (events.Command, "written stopped"),  # by the executor
+    (events.Command, "left coalesced"),
 )
 """All that a supervisor has. A field that is not named here may matter to what states are equal: then say so below."""
 for _part in dict(_KNOWN):
@@ -145,13 +128,13 @@ def small(supervisor: Supervisor, legs: Iterable[int]) -> Supervisor:
     return supervisor
 
 
-def pending(supervisor: Supervisor) -> dict[int, Command]:
+def pending(supervisor: Supervisor) -> dict[int, events.Command]:
     """The commands that servos wait for, by their numbers, in order."""
     waiting = [servo.command for servo in supervisor.legs.servos.values() if servo.pending]
     return {command.number: command for command in sorted(waiting, key=attrgetter("number"))}
 
 
-def _copied_servo(servo: Servo, commands: dict[int, Command]) -> Servo:
+def _copied_servo(servo: Servo, commands: dict[int, events.Command]) -> Servo:
     """A copy that waits for the copy of its command, of which each servo has the same."""
     other = type(servo)(*_servo_fields(servo))
     if servo.target is not None:
@@ -178,7 +161,7 @@ def copied(supervisor: Supervisor) -> Supervisor:
     """A copy that shares nothing that changes; copy.deepcopy takes fifty times as long."""
     legs = cloned(supervisor.legs)
     by_number: dict[int, Leg] = {}
-    commands: dict[int, Command] = {}
+    commands: dict[int, events.Command] = {}
     for number, leg in supervisor.legs.by_number.items():
         first, second, third = (_copied_servo(servo, commands) for servo in leg.servos)
         _, _, _, *rest = _leg_fields(leg)
@@ -355,28 +338,28 @@ def _tokens(drivers: Sequence[str], lease: LeaseHistory) -> Iterator[tuple[str, 
         yield " of a former holder", lease.old_token
 
 
-def _lease_requests(drivers: Sequence[str], number: int, lease: LeaseHistory) -> Iterator[tuple[str, Event]]:
+def _lease_requests(drivers: Sequence[str], number: int, lease: LeaseHistory) -> Iterator[tuple[str, events.Event]]:
     """Everything that each of them may want of it; a new token is one that nobody had."""
     fresh = f"token {number}"
     for name in drivers:
         for do in ("acquire", "ask", "take"):
-            yield f"{name} wants to {do}", LeaseRequest(do, name, fresh_token=fresh)
+            yield f"{name} wants to {do}", events.LeaseRequest(do, name, fresh_token=fresh)
     for whose, token in _tokens(drivers, lease):
         if token is not None:
-            yield f"renewal{whose}", LeaseRequest("renew", token=token)
-            yield f"release{whose}", LeaseRequest("release", token=token)
-            yield f"handover{whose}", LeaseRequest("release", token=token, to=drivers[-1])
+            yield f"renewal{whose}", events.LeaseRequest("renew", token=token)
+            yield f"release{whose}", events.LeaseRequest("release", token=token)
+            yield f"handover{whose}", events.LeaseRequest("release", token=token, to=drivers[-1])
 
 
 def _button_requests(
     names: Sequence[str], number: int, now_ns: int, delays_ns: Sequence[int], buttons: ButtonsHistory
-) -> Iterator[tuple[str, Event]]:
+) -> Iterator[tuple[str, events.Event]]:
     """Everything that each of them may want `now`; a new token is one that nobody had.
 
     A check-in is the next one, or the latest one again; it says when it was sent (so long ago), or does not.
     """
     for name in names:
-        register = ButtonRequest("register", now_ns, name, fresh_token=f"token {number}")
+        register = events.ButtonRequest("register", now_ns, name, fresh_token=f"token {number}")
         yield f"{name} registers", register
         for delay_ns in delays_ns:
             yield f"{name} registers, {delay_ns} late", replace(register, sent_ms=(now_ns - delay_ns) / NS_PER_MS)
@@ -384,39 +367,39 @@ def _button_requests(
     for token in tokens if names else ():
         whose = buttons.known[token].name if token in buttons.known else "a former button"
         count = buttons.known[token].count if token in buttons.known else number
-        alive = ButtonRequest("alive", now_ns, token=token, count=count + 1)
+        alive = events.ButtonRequest("alive", now_ns, token=token, count=count + 1)
         yield f"{whose} is alive", alive
         yield f"a check-in of {whose} once more", replace(alive, count=count)
         for delay_ns in delays_ns:
             yield f"{whose} was alive {delay_ns} ago", replace(alive, sent_ms=(now_ns - delay_ns) / NS_PER_MS)
-        yield f"{whose} leaves", ButtonRequest("leave", now_ns, token=token)
+        yield f"{whose} leaves", events.ButtonRequest("leave", now_ns, token=token)
 
 
 def _changes(
     wanted: Sequence[CalibrationCommand], number: int, history: CalibrationHistory
-) -> Iterator[tuple[str, Event]]:
+) -> Iterator[tuple[str, events.Event]]:
     """Everything that may be asked of the calibration, and what the disk may answer."""
     revision = history.whole.revision
     for which, change in enumerate(wanted):
         now = {"revision": revision, "accept_default": None if history.trusted else True}
-        yield f"calibration {which}", Calibrate(number=number, change=change.model_copy(update=now))
+        yield f"calibration {which}", events.Calibrate(number=number, change=change.model_copy(update=now))
     if wanted:
         older = wanted[0].model_copy(update={"revision": revision - 1})
-        yield "calibration of an older one", Calibrate(number=number, change=older)
+        yield "calibration of an older one", events.Calibrate(number=number, change=older)
         default = CalibrationCommand(servos={}, landing={}, accept_default=True if history.trusted else None)
-        yield "another default accepted", Calibrate(number=number, change=default)
+        yield "another default accepted", events.Calibrate(number=number, change=default)
     if history.on_its_way is not None:
-        yield "calibration kept", CalibrationSaved(history.on_its_way.number)
-        yield "calibration not kept", CalibrationSaved(history.on_its_way.number, "the disk is full")
+        yield "calibration kept", events.CalibrationSaved(history.on_its_way.number)
+        yield "calibration not kept", events.CalibrationSaved(history.on_its_way.number, "the disk is full")
 
 
-def events(configuration: Configuration, state: "State", now_ns: int) -> Iterator[tuple[str, Event]]:
+def candidates(configuration: Configuration, state: "State", now_ns: int) -> Iterator[tuple[str, events.Event]]:
     """Everything that can happen then, with a name."""
     mode, number, estops, oracle = state.supervisor.mode, state.number, state.supervisor.latch.number, state.oracle
     lease, calibration, buttons = oracle.lease, oracle.calibration, oracle.buttons
     if oracle.unknown:
-        yield "the disk is read", EstopKept(*oracle.disk)
-        yield "the disk cannot be read", EstopKept(oracle.disk[0] + 1000, engaged=True)
+        yield "the disk is read", events.EstopKept(*oracle.disk)
+        yield "the disk cannot be read", events.EstopKept(oracle.disk[0] + 1000, engaged=True)
     # Where every command is rejected, one is as good as another.
     commands = configuration.commands if mode in (Mode.IDLE, Mode.ACTIVE) else configuration.commands[:1]
     for which, (channel, targets) in enumerate(commands):
@@ -424,36 +407,38 @@ def events(configuration: Configuration, state: "State", now_ns: int) -> Iterato
             by = next((name for name in ("anna", "ben") if f"{name}'s" in channel), None)
             timed = 1.0 if "with a time" in channel else None
             frames = frames_of(targets)
-            command = Command(targets, frames=frames, key=channel, source=by, number=number, lease=token, sent_ms=timed)
+            command = events.Command(
+                targets, frames=frames, key=channel, source=by, number=number, lease=token, sent_ms=timed
+            )
             yield f"{channel} command {which}{whose}", command
     for stops in configuration.unread:
-        unread = Rejected(Request(number=number), Reason.MALFORMED, "a test's")
-        yield f"what may stop {len(stops)}", Command(stops, key="unread", number=number, rejected=unread)
+        unread = events.Rejected(events.Request(number=number), Reason.MALFORMED, "a test's")
+        yield f"what may stop {len(stops)}", events.Command(stops, key="unread", number=number, rejected=unread)
     for tilt_cdeg, battery_mv in configuration.bodies:
-        yield f"tilt {tilt_cdeg}, battery {battery_mv}", BodyMeasured(tilt_cdeg, battery_mv)
+        yield f"tilt {tilt_cdeg}, battery {battery_mv}", events.BodyMeasured(tilt_cdeg, battery_mv)
     for seen in configuration.boards:
         yield str(seen), seen
-    yield "time passed", TimePassed()
-    yield "bus opened", BusOpened()
+    yield "time passed", events.TimePassed()
+    yield "bus opened", events.BusOpened()
     yield from _lease_requests(configuration.drivers, number, lease)
     yield from _button_requests(configuration.buttons, number, now_ns, configuration.delays_ns, buttons)
     yield from _changes(configuration.changes, number, calibration)
     if configuration.calm and not configuration.ends:
         return
-    yield "emergency stop", EmergencyStop()
+    yield "emergency stop", events.EmergencyStop()
     for whose, token in _tokens(configuration.drivers, lease):
-        yield f"reset{whose}", Reset(number=number, estop=estops, lease=token)
+        yield f"reset{whose}", events.Reset(number=number, estop=estops, lease=token)
     if mode is Mode.ESTOPPED:
-        yield "reset of an older one", Reset(number=number, estop=estops - 1)
-        yield "reset of none that was", Reset(number=number, estop=estops + 1)
-        yield "reset without a number", Reset(number=number)
+        yield "reset of an older one", events.Reset(number=number, estop=estops - 1)
+        yield "reset of none that was", events.Reset(number=number, estop=estops + 1)
+        yield "reset without a number", events.Reset(number=number)
     yield from STOP_SERVOS.items()
-    yield "bus failed", BusFailed("a test's fault")
+    yield "bus failed", events.BusFailed("a test's fault")
     if configuration.bodies:
-        yield "controller silent", BusFailed("a test's fault", Kind.CONTROLLER_SILENT)
-        yield "controller restarted", BusFailed("a test's fault", Kind.CONTROLLER_RESTARTED)
+        yield "controller silent", events.BusFailed("a test's fault", Kind.CONTROLLER_SILENT)
+        yield "controller restarted", events.BusFailed("a test's fault", Kind.CONTROLLER_RESTARTED)
     if configuration.ends:
-        yield "shut down", ShutDown()
+        yield "shut down", events.ShutDown()
 
 
 @dataclass(slots=True)
@@ -521,7 +506,7 @@ def successors(configuration: Configuration, state: State) -> Iterator[tuple[Key
     waits += [(wait_ns, True) for wait_ns in configuration.within_ns]
     for wait_ns, same_instant in waits:
         now_ns = state.now_ns + wait_ns
-        for name, event in events(configuration, state, now_ns):
+        for name, event in candidates(configuration, state, now_ns):
             if type(event) not in TRANSITIONS[mode]:
                 continue
             supervisor, oracle = copied(state.supervisor), state.oracle.clone()
@@ -535,7 +520,7 @@ def successors(configuration: Configuration, state: State) -> Iterator[tuple[Key
             yield looks(after), after
 
 
-def take(supervisor: Supervisor, oracle: Oracle, event: Event, now_ns: int, instant_ns: int) -> None:
+def take(supervisor: Supervisor, oracle: Oracle, event: events.Event, now_ns: int, instant_ns: int) -> None:
     """One step, judged. Raises Violation."""
     mode, due_ns = supervisor.mode, supervisor.due_ns
     both_ways(supervisor, event, now_ns, instant_ns)
@@ -543,14 +528,14 @@ def take(supervisor: Supervisor, oracle: Oracle, event: Event, now_ns: int, inst
     allowed = TRANSITIONS[mode][type(event)]
     demand(supervisor.mode in allowed, f"{type(event).__name__} leads {mode} to {supervisor.mode}")
     oracle.judge(event, now_ns, effects, supervisor, instant_ns)
-    if isinstance(event, TimePassed) and due_ns is not None and due_ns <= now_ns:
+    if isinstance(event, events.TimePassed) and due_ns is not None and due_ns <= now_ns:
         demand(bool(effects) or supervisor.due_ns != due_ns, "waking up at the deadline changes something")
 
 
-def both_ways(supervisor: Supervisor, event: Event, now_ns: int, instant_ns: int | None) -> None:
+def both_ways(supervisor: Supervisor, event: events.Event, now_ns: int, instant_ns: int | None) -> None:
     """Let copies take a command in the usual and in the general way. Raise Violation if they differ in anything but
     an early `due_ns`."""
-    if not isinstance(event, Command) or now_ns >= supervisor.usual_ns:
+    if not isinstance(event, events.Command) or now_ns >= supervisor.usual_ns:
         return
     usual, general = copied(supervisor), copied(supervisor)
     general.usual_ns = 0

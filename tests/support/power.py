@@ -14,8 +14,7 @@ from gateway.robot.service import BEAT_S
 from gateway.simulation.board import SimulatedBoard
 from schemas.robot import SERVO_IDS
 from schemas.words import Kind
-from tests.support.elkapod import ElkapodRobot
-from tests.support.robot import Robot
+from tests.support.robot import ElkapodRobot, Robot
 
 ALL_SERVOS = frozenset(SERVO_IDS)
 NONE: frozenset[int] = frozenset()

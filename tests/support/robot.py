@@ -7,13 +7,16 @@ from timer to timer (async-solipsism), so a test of ten seconds takes a millisec
 import asyncio
 import itertools
 import json
-from collections.abc import Iterator, Mapping
+import struct
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any, TypeVar
 
 from pydantic import BaseModel
 
 from gateway.errors import BatchRejectedError
+from gateway.model.elkapod import SHUTDOWN
+from gateway.model.elkapod import START as ELKAPOD_START
 from gateway.model.frames import Frame, Framing, decode
 from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.message import Messages, Received, Verb
@@ -27,6 +30,7 @@ from gateway.robot.service import BEAT_S, rules
 from gateway.robot.settings import Settings
 from gateway.robot.spi import Batch, Wire
 from gateway.robot.spi.bus import Bus
+from gateway.robot.spi.cyclic import CYCLE_HZ, CyclicBus
 from schemas import keys
 from schemas.ack import Ack
 from schemas.button import ButtonAck
@@ -34,9 +38,10 @@ from schemas.config import ConfigReport
 from schemas.event import Event, FrameRecord
 from schemas.gateway_state import GatewayState
 from schemas.lease import LeaseAck
+from schemas.robot import LEGS, SERVO_IDS
 from schemas.state import StateReport, joined
 from schemas.words import Kind
-from tests.support.controllers import FaultyController
+from tests.support.controllers import Elkapod, FaultyController
 
 MS = 1_000_000
 A = TypeVar("A", bound=BaseModel)
@@ -269,3 +274,60 @@ START = leg("start", 90, 90, 90)
 
 def servo(op: str, angle_deg: float | None = None, **more: Any) -> dict[str, Any]:
     return {"op": op, **({} if angle_deg is None else {"angle_deg": angle_deg}), **more}
+
+
+# ---- a robot of elkapod-2025
+
+
+class ElkapodRobot(Robot):
+    """Its gateway has begun; frames go from then on."""
+
+    def __init__(self, sections: Mapping[str, Mapping[str, Any]] | None = None) -> None:
+        sections = sections or {}
+        super().__init__({**sections, "wire": {"name": "elkapod-2025"}})
+        self.conductor.start()
+        self.conductor.reports.announce_start()
+        self.loop.call_later(1 / CYCLE_HZ, self._go_on)
+
+    def wire(self) -> Wire:
+        self.elkapod = Elkapod(clock=self.now_ns)
+        self.cyclic = CyclicBus(
+            lambda: self.elkapod,
+            lambda: self.elkapod,
+            fed_singly=bool(self.settings.power.interface),
+            clock=self.now_ns,
+        )
+        return self.cyclic
+
+    def _go_on(self) -> None:
+        self.cyclic.cycle(self.conductor.owner, self.conductor.measured, self.conductor.bus_failed)
+        self.loop.call_later(1 / CYCLE_HZ, self._go_on)
+
+    @property
+    def said(self) -> list[tuple[float, str]]:
+        """Return the UART's messages: when (ms), and what."""
+        names = {ELKAPOD_START: "start", SHUTDOWN: "shutdown"}
+        return [(at_ns / MS, names[message]) for at_ns, message in self.elkapod.messages]
+
+    def kinds(self) -> list[Kind]:
+        return [Kind(event.kind) for event in self.events()]
+
+
+def angles_of(frame: bytes) -> dict[int, float]:
+    assert (len(frame), frame[0], frame[-1]) == (80, 0x7E, 0x0F)
+    return dict(zip(SERVO_IDS, struct.unpack_from("<18f", frame, 1), strict=True))
+
+
+def all_legs(op: str, angle_deg: float | None = None, legs: Iterable[int] = LEGS) -> dict[str, Any]:
+    angles_deg = () if angle_deg is None else (angle_deg,) * 3
+    return {"legs": {str(number): leg(op, *angles_deg) for number in legs}}
+
+
+async def elkapod(**sections: Mapping[str, Any]) -> ElkapodRobot:
+    """Return one that has been up until nothing follows its first Stops, with nothing recorded yet."""
+    robot = ElkapodRobot(sections)
+    await asyncio.sleep(6)
+    robot.elkapod.messages.clear()
+    robot.elkapod.transfers.clear()
+    robot.reports.clear()
+    return robot

@@ -3,17 +3,17 @@
 CONTRIBUTING.md explains the tiers. FOLDERS has the marks of whole folders: a tier, or how its tests run.
 """
 
+import importlib
 import os
 import random
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import Final
 
 import pytest
-
-from tests.support.lacks import LACKS
 
 TESTS: Final = Path(__file__).parents[1]
 FOLDERS: Final[Mapping[str, tuple[str, ...]]] = {
@@ -38,6 +38,14 @@ TOGETHER: Final = ("box", "net", "ros2")
 """Folders that share a machine or a bridge; files of other folders share a gateway."""
 SECOND_BOX: Final = ("box/test_package.py", "box/test_check_faults.py", "box/test_pages.py")
 """These prepare a machine of their own, beside the other boxes: one after the other would take twice as long."""
+LACKS: Final = {
+    "hil": "tests.hil.bed:missing_packages",
+    "net": "tests.net.hosts:lacks",
+    "systemd": "tests.box.box:lacks",
+    "browser": "tests.console.browser:lacks",
+    "other_browsers": "tests.console.other_browsers:lacks",
+}
+"""By a test's mark: the function that knows; imported where such a test runs, since most runs have none of them."""
 
 
 def arrange(items: list[pytest.Item]) -> None:
@@ -101,3 +109,25 @@ def _folder(nodeid: str) -> str:
 
 def _is_among(file: str, places: Sequence[str]) -> bool:
     return file in places or file.partition("/")[0] in places
+
+
+# ---- what this machine lacks for a test
+
+
+def skip_where_lacking(item: pytest.Item) -> None:
+    """Skip a test that needs what is not here."""
+    skip_where("; ".join(filter(None, (_lack(mark.name) for mark in item.iter_markers()))))
+
+
+@cache
+def _lack(mark: str) -> str:
+    module, _, function = LACKS.get(mark, "").partition(":")
+    return str(getattr(importlib.import_module(module), function)()) if module else ""
+
+
+def skip_where(lack: str) -> None:
+    """Skip the test where something is lacking, in this one line; but never in CI, where the test fails."""
+    if lack and os.environ.get("CI") == "true":
+        pytest.fail(lack, pytrace=False)
+    if lack:
+        pytest.skip(lack)

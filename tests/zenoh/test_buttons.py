@@ -11,9 +11,8 @@ from schemas import keys
 from schemas.robot import LEGS
 from schemas.words import Kind, Mode, Reason
 from tests.support.fixtures import client_fixture, gateway_fixture
-from tests.support.gateway_process import Gateway, free_port
+from tests.support.gateway_process import Gateway, Secured, free_port
 from tests.support.heard import events
-from tests.support.secured import Secured
 from tests.support.waiting import meanwhile
 
 TIMEOUT_MS = 2000

@@ -19,10 +19,9 @@ from gateway.people.commands.moving import ServoMotion
 from tests.support.boards import RecordedBoard
 from tests.support.command import Ended
 from tests.support.fixtures import gateway_fixture, patient
-from tests.support.gateway_process import Gateway, free_port
+from tests.support.gateway_process import Gateway, Secured, free_port
 from tests.support.heard import frames, states
 from tests.support.planted_gateway import MISTAKES
-from tests.support.secured import Secured
 from tests.support.waiting import wait_until
 
 pytestmark = pytest.mark.full

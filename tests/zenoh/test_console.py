@@ -17,8 +17,7 @@ from gateway.people.walking.gaits import GAITS
 from schemas.robot import LEGS
 from tests.support.console_process import NOBODY, Console, Page, SignedIn, sign_in
 from tests.support.fixtures import console_fixture, gateway_fixture, patient, session_fixture
-from tests.support.gateway_process import Gateway, free_port
-from tests.support.secured import Secured
+from tests.support.gateway_process import Gateway, Secured, free_port
 
 LEG_3 = "hexapod/leg/3/cmd"
 START = {"servos": [{"op": "start", "angle_deg": angle} for angle in (90, 45, 120)]}

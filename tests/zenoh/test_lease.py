@@ -17,10 +17,9 @@ from schemas.ack import Ack
 from schemas.lease import LeaseAck
 from schemas.words import Cause, Kind, Reason
 from tests.support.fixtures import client_fixture, gateway_fixture, patient
-from tests.support.gateway_process import Gateway, free_port
+from tests.support.gateway_process import Gateway, Secured, free_port
 from tests.support.heard import events, frames, is_stop, running
 from tests.support.robot import LEG_3, START, leg
-from tests.support.secured import Secured
 from tests.support.waiting import wait_until
 from tests.zenoh.test_reports import read
 

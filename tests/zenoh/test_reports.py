@@ -25,10 +25,9 @@ from schemas import keys
 from schemas.config import ConfigReport
 from schemas.state import MAX_STATE_BYTES
 from tests.support.command import run_program
-from tests.support.gateway_process import Gateway, free_port
+from tests.support.gateway_process import Gateway, Secured, free_port
 from tests.support.heard import Heard, states
 from tests.support.pages import described, documented
-from tests.support.secured import Secured
 
 
 def read(address: str) -> str:

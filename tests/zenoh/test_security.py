@@ -21,9 +21,8 @@ from gateway.people.client.payloads import leg_payload
 from schemas import keys
 from schemas.words import Kind, Mode
 from tests.support.command import Ended, run_here
-from tests.support.gateway_process import Gateway, free_port
+from tests.support.gateway_process import HOST, Gateway, Secured, free_port
 from tests.support.heard import events
-from tests.support.secured import HOST, Secured
 from tests.support.waiting import wait_until
 
 TLS, TIMEOUT = "transport/link/tls", "connect/timeout_ms"

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.box.box import lacks_tools
-from tests.support import lacks, schedule
+from tests.support import schedule
 from tests.support.child import Child
 from tests.support.command import run_program
 from tests.support.runs import ENDS_WITH_US, children
@@ -58,7 +58,7 @@ def test_scenes_need_no_tools_of_tests() -> None:
 
 @pytest.mark.full
 def test_what_is_to_end_with_its_run_does_if_the_run_is_killed() -> None:
-    lacks.skip_where(lacks_tools("what ends with its run is", "setpriv", "unshare"))
+    schedule.skip_where(lacks_tools("what ends with its run is", "setpriv", "unshare"))
     command = [*ENDS_WITH_US, "sh", "-c", "sleep 1000 & echo sleeps; wait"]
     with Child([sys.executable, "-c", f"import subprocess; subprocess.run({command})"], os.environ) as run:
         run.wait_for_output("sleeps")
@@ -110,7 +110,7 @@ def test_a_file_is_imported_only_where_it_has_tests_that_run(
 @pytest.mark.parametrize(
     ("marks", "tiers"),
     [([], set()), (["nightly"], {"nightly"}), (["hil", "nightly"], {"nightly"})]
-    + [([name], {"full"}) for name in lacks.LACKS],
+    + [([name], {"full"}) for name in schedule.LACKS],
 )
 def test_what_needs_root_or_packages_is_never_in_make_test(
     request: pytest.FixtureRequest, marks: list[str], tiers: set[str]

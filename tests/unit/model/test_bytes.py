@@ -34,7 +34,7 @@ from gateway.model.power_board import (
     read,
     set_supply,
 )
-from tests.support.elkapod import angles_of
+from tests.support.robot import angles_of
 
 FRAME = bytes.fromhex(
     "7e0000a0420000a2420000a4420000a6420000a8420000aa420000ac420000ae420000b0420000b2420000b4420000b6420000b8420000ba"

@@ -26,9 +26,8 @@ from schemas import keys
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.words import Cause, Kind, Mode, Reason
 from tests.support.controllers import on_wire
-from tests.support.elkapod import elkapod
 from tests.support.power import FedRobot
-from tests.support.robot import LEG_1, LEG_3, MS, START, Robot, leg, servo, started_and_quiet
+from tests.support.robot import LEG_1, LEG_3, MS, START, Robot, elkapod, leg, servo, started_and_quiet
 from tests.unit.people.test_recorder import contents, recorded
 
 pytestmark = pytest.mark.virtual_time

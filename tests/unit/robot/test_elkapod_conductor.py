@@ -14,8 +14,7 @@ from gateway.model.elkapod import SHUTDOWN
 from gateway.robot.spi.uart import SerialUart
 from schemas import keys
 from schemas.words import Kind, Mode
-from tests.support.elkapod import ElkapodRobot, all_legs, angles_of, elkapod
-from tests.support.robot import leg
+from tests.support.robot import ElkapodRobot, all_legs, angles_of, elkapod, leg
 
 pytestmark = pytest.mark.virtual_time
 

@@ -18,7 +18,7 @@ from gateway.robot.spi.cyclic import CyclicBus, run_cycles
 from gateway.robot.spi.uart import Uart
 from schemas.robot import LEGS, SERVO_IDS
 from tests.support.bus_scenes import play
-from tests.support.elkapod import angles_of
+from tests.support.robot import angles_of
 
 MS = 1_000_000
 AT_REST = Measured(31.5, 7.4, 80.0, (1, 0, 0, 0), (0, 0, 0), (0, 0, 9.81), (1, 2, 3, 4, 5, 6))

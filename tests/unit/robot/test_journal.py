@@ -23,8 +23,7 @@ from gateway.robot.core.supervisor import ALL_EVENTS, Supervisor
 from schemas.calibration import CalibrationCommand, ServoChange
 from schemas.words import Kind, Reason
 from tests.support.history import frames_of, numbered
-from tests.support.model_check import State
-from tests.support.model_check import events as candidates
+from tests.support.model_check import State, candidates
 from tests.support.oracle import Oracle
 from tests.support.small_robots import CONFIGURATIONS, Configuration
 from tests.support.transitions import TRANSITIONS

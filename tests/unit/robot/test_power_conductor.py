@@ -17,9 +17,8 @@ from schemas import keys
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Supply, Telemetry
 from schemas.words import Kind, Mode, Reason
-from tests.support.elkapod import all_legs
 from tests.support.power import FedElkapod, FedRobot, running
-from tests.support.robot import LEG_3, START, leg, servo
+from tests.support.robot import LEG_3, START, all_legs, leg, servo
 
 pytestmark = pytest.mark.virtual_time
 

@@ -21,9 +21,8 @@ from gateway.simulation.board import SimulatedBoard
 from schemas import keys
 from schemas.ack import Ack
 from schemas.robot import LEGS, SERVO_IDS
-from tests.support.elkapod import all_legs, angles_of
 from tests.support.power import FedElkapod, FedRobot
-from tests.support.robot import leg, servo
+from tests.support.robot import all_legs, angles_of, leg, servo
 
 pytestmark = pytest.mark.full
 

@@ -30,8 +30,7 @@ from schemas.robot import LEGS, SERVO_IDS
 from schemas.words import Kind, Mode
 from tests.support.controllers import FaultyController
 from tests.support.history import announced, demand, numbered
-from tests.support.model_check import State, both_ways, pending
-from tests.support.model_check import events as candidates
+from tests.support.model_check import State, both_ways, candidates, pending
 from tests.support.oracle import Oracle
 from tests.support.small_robots import Configuration, Targets
 from tests.support.transitions import TRANSITIONS
