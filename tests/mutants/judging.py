@@ -4,6 +4,7 @@ The process imports the mutant in the place of the file, and the tests, up to th
 a mutant comes first for the next, then the quick ones.
 """
 
+import ctypes
 import importlib
 import importlib.util
 import json
@@ -15,12 +16,10 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
-from importlib.abc import Loader, MetaPathFinder
-from importlib.machinery import ModuleSpec
-from importlib.util import spec_from_loader
+from importlib.machinery import SourceFileLoader
 from math import ceil
 from pathlib import Path
-from types import ModuleType
+from types import CodeType
 from typing import Final, NoReturn
 
 import pytest
@@ -35,6 +34,8 @@ LIBRARIES: Final = (
 OURS: Final = ("gateway", "tests")
 MEMORY_BYTES: Final = 8 << 30
 """A fault that never ends may also take memory without end."""
+_SIGNAL_WHEN_THE_PARENT_ENDS: Final = 1
+"""PR_SET_PDEATHSIG of prctl(2)."""
 
 
 class Outcome(StrEnum):
@@ -72,24 +73,6 @@ class Subject:
         return self.file.removesuffix(".py").replace("/", ".")
 
 
-class MutatedImport(MetaPathFinder, Loader):
-    """A finder for `sys.meta_path`: loads one module from this source instead of its file."""
-
-    def __init__(self, module: str, file: str, source: str) -> None:
-        self._module = module
-        self._file = file
-        self._source = source
-
-    def find_spec(self, name: str, path: object = None, target: object = None) -> ModuleSpec | None:
-        """Implement the import system's hook."""
-        del path, target
-        return spec_from_loader(name, self, origin=self._file) if name == self._module else None
-
-    def exec_module(self, module: ModuleType) -> None:
-        module.__file__ = self._file
-        exec(compile(self._source, self._file, "exec"), vars(module))  # noqa: S102  (what an import does)
-
-
 @dataclass(frozen=True, slots=True)
 class _Limits:
     """Seconds of the processor, and in all: what waits for ever uses no processor.
@@ -124,14 +107,17 @@ def _judged(
     subject: Subject, mutated: str | None, order: list[str], limits: _Limits
 ) -> tuple[Verdict, dict[str, float]]:
     """Return the verdict by tests in this order, and how long each of them took."""
-    notes = os.memfd_create("notes")
+    notes, parent = os.memfd_create("notes"), os.getpid()
     pid = os.fork()
     if pid == 0:
+        ctypes.CDLL(None).prctl(_SIGNAL_WHEN_THE_PARENT_ENDS, signal.SIGKILL)
+        if os.getppid() != parent:  # it has ended before that
+            os._exit(1)
         resource.setrlimit(resource.RLIMIT_CPU, (ceil(limits.processor_s), ceil(limits.processor_s) + 5))
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
         signal.setitimer(signal.ITIMER_REAL, limits.all_s)
         if mutated is not None:
-            sys.meta_path.insert(0, MutatedImport(subject.module, str(subject.root / subject.file), mutated))
+            _import_instead(subject, mutated)
         _run_tests(subject, _Tests(notes, order))
     _, status = os.waitpid(pid, 0)
     with open(notes, encoding="utf-8") as lines:
@@ -139,6 +125,16 @@ def _judged(
         ended = [json.loads(line) for line in lines]
     failed = next((test for test, _, fails in ended if fails), "")
     return _verdict(os.waitstatus_to_exitcode(status), failed), {test: took_s for test, took_s, _ in ended}
+
+
+def _import_instead(subject: Subject, mutated: str) -> None:
+    """Let an import of the subject's file load this source."""
+    own, file = SourceFileLoader.get_code, str(subject.root / subject.file)
+
+    def get_code(loader: SourceFileLoader, name: str) -> CodeType | None:
+        return compile(mutated, file, "exec") if name == subject.module else own(loader, name)
+
+    SourceFileLoader.get_code = get_code  # type: ignore[assignment, method-assign]
 
 
 def _verdict(code: int, test: str) -> Verdict:

@@ -1,4 +1,4 @@
-"""What a judge of the supervisor demands of the calibration, by the contract's words; see `oracle.py`.
+"""The part of the oracle (`oracle.py`) that is about the calibration.
 
 The formula, the limits and what a change changes are written once more here, so that a mistake in the core meets
 another reading of them.
@@ -18,7 +18,7 @@ from tests.support.history import demand, is_announced, spelled_out
 
 
 class OneServos(NamedTuple):
-    """One servo's: what becomes of an angle, and which angles may be asked for."""
+    """One servo's calibration: its wire angles, and the angles that may be asked for."""
 
     trim_cdeg: int = 0
     inverted: bool = False
@@ -34,11 +34,11 @@ class OneServos(NamedTuple):
         return 180_00 + self.trim_cdeg - wire_cdeg if self.inverted else wire_cdeg - self.trim_cdeg
 
     def allows(self, angle_cdeg: int) -> bool:
-        """Return whether it may be asked for."""
+        """Return whether this angle may be asked for."""
         return self.low_cdeg <= angle_cdeg <= self.high_cdeg and 0 <= self.wire_cdeg(angle_cdeg) <= 180_00
 
     def with_change(self, change: ServoChange) -> Self:
-        """Return what it becomes, if that can be."""
+        """Return the calibration after a change, possible or not."""
         return type(self)(
             self.trim_cdeg if change.trim_deg is None else round(change.trim_deg * 100),
             self.inverted if change.inverted is None else change.inverted,
@@ -48,7 +48,7 @@ class OneServos(NamedTuple):
 
     @property
     def possible(self) -> bool:
-        """Return whether a servo can be like that."""
+        """Return whether a servo can have this calibration."""
         return abs(self.trim_cdeg) <= 90_00 and 0 <= self.low_cdeg <= self.high_cdeg <= 180_00
 
 
@@ -64,7 +64,7 @@ class Whole(NamedTuple):
 
     @classmethod
     def of(cls, calibration: RobotCalibration) -> Self:
-        """Return the same, as `gateway/robot/core` has it."""
+        """Return the oracle's form of a calibration of `gateway/robot/core`."""
         servos = {servo_id: OneServos(*servo) for servo_id, servo in calibration.servos.items()}
         return cls(calibration.revision, _not_as_drawn(servos), dict(calibration.landing_cdeg))
 
@@ -73,7 +73,7 @@ class Whole(NamedTuple):
         return self.servos.get(servo_id, AS_DRAWN).allows(angle_cdeg)
 
     def changed(self, event: Calibrate) -> Self | None:
-        """Return what it becomes; None: nothing that could be."""
+        """Return the calibration after a change, or None if that is impossible."""
         servos, landing = dict(self.servos), dict(self.landing_cdeg)
         for name, change in event.change.servos.items():
             servos[int(name)] = servos.get(int(name), AS_DRAWN).with_change(change)
@@ -106,29 +106,29 @@ class CalibrationHistory:
         self.on_its_way: _OnItsWay | None = None
 
     def key(self) -> tuple[object, ...]:
-        """Return what of it still matters."""
+        """Return what still matters."""
         way = self.on_its_way
         return self.trusted, _key(self.whole), way and (_key(way.whole), way.servos)
 
     # ---- angles
 
     def allows(self, servo_id: int, angle_cdeg: int) -> bool:
-        """Return whether the settings and the calibration both let a servo go there."""
+        """Return whether the settings and the calibration both allow this angle."""
         low, high = self._rules.joint_limits_cdeg.get(servo_id, (0, 180_00))
         within = low <= angle_cdeg <= high and self.whole.allows(servo_id, angle_cdeg)
         return within and not self._avoids(self.whole, servo_id, angle_cdeg)
 
     def wire_cdeg(self, servo_id: int, angle_cdeg: int) -> int:
-        """Return what the servo is sent for this angle."""
+        """Return the wire angle of this angle."""
         return self.whole.servos.get(servo_id, AS_DRAWN).wire_cdeg(angle_cdeg)
 
     def _avoids(self, whole: Whole, servo_id: int, angle_cdeg: int) -> bool:
-        """Return whether it is one of the angles that are never on the wire."""
+        """Return whether this angle is never on the wire."""
         low, high = self._rules.avoid_cdeg or (0, 0)
         return low <= whole.servos.get(servo_id, AS_DRAWN).wire_cdeg(angle_cdeg) < high
 
     def gap(self, servo_id: int, from_cdeg: int, to_cdeg: int) -> tuple[int, int] | None:
-        """The last angle before those that are never on the wire, and the first behind them; None: none lie between."""
+        """Return the last angle before and the first after those that are never on the wire; None: none lie between."""
         servo = self.whole.servos.get(servo_id, AS_DRAWN)
         low, high = self._rules.avoid_cdeg or (0, 0)
         below, above = servo.user_cdeg(low - 1), servo.user_cdeg(high)
@@ -138,12 +138,12 @@ class CalibrationHistory:
         return (below, above) if from_below else (above, below)
 
     def landing_cdeg(self) -> dict[int, int]:
-        """Return the landing pose, as far as it may be gone to."""
+        """Return the landing pose, without angles that are not allowed."""
         pose = {**self._rules.landing_cdeg, **self.whole.landing_cdeg}
         return {servo_id: angle for servo_id, angle in pose.items() if self.allows(servo_id, angle)}
 
     def read(self, effects: Iterable[Effect]) -> list[Effect]:
-        """The same, spelled out, with frames as users mean them; raise Violation where no user can have meant one."""
+        """Return the effects, spelled out, with users' angles in frames. Raise Violation for a forbidden angle."""
         return [
             replace(effect, frame=self._read(effect.frame)) if isinstance(effect, Transmit) else effect
             for effect in spelled_out(effects)
@@ -167,7 +167,7 @@ class CalibrationHistory:
     # ---- changes
 
     def reason_to_reject(self, servo_ids: Collection[int]) -> Reason | None:
-        """Return why none of these may be started or set."""
+        """Return why none of these servos may be started or set, or None."""
         changing = self.on_its_way is not None and not self.on_its_way.servos.isdisjoint(servo_ids)
         return Reason.SERVO_STOPPED if changing or not self.trusted else None
 

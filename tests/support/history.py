@@ -1,4 +1,4 @@
-"""What a judge of the supervisor remembers of servos and legs, and demands of their motion; see `oracle.py`."""
+"""The part of the oracle (`oracle.py`) that is about servos and legs: what they did, and how they may move."""
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
@@ -12,7 +12,7 @@ from gateway.robot.core.rules import Rules
 from schemas.words import Cause, Kind, Mode, Reason
 
 CLOSED = {Mode.STOPPING: Reason.STOPPING, Mode.BUS_FAULT: Reason.BUS_FAULT, Mode.ESTOPPED: Reason.ESTOPPED}
-"""Modes in which every command is rejected, and for what."""
+"""The modes in which every command is rejected, each with the reason."""
 NOBODY = "somebody without a name"
 T = TypeVar("T")
 STOP_SERVOS = {
@@ -26,13 +26,13 @@ class Violation(AssertionError):  # noqa: N818  (the model checker's word for it
 
 
 def demand(condition: bool, promise: str) -> None:
-    """Raise Violation unless the promise was kept."""
+    """Raise Violation with this promise unless the condition holds."""
     if not condition:
         raise Violation(promise)
 
 
 def frames_of(targets: events.Targets) -> tuple[Frame, ...]:
-    """Return the frames of a command that only moves servos, as its payload's reader makes them, or none."""
+    """Return a command's frames as the reader of its payload makes them: none if it stops a servo."""
     by_leg = events.Command(targets).by_leg.values()
     usual = all(op.op is not Op.STOP for _, op in targets) and all(len(each) in (1, 3) for each in by_leg)
     return tuple(map(frame_of, by_leg)) if usual else ()
@@ -51,7 +51,7 @@ def announced(effects: Iterable[events.Effect], kinds: Collection[Kind]) -> list
 def judge_halts(
     effects: Sequence[events.Effect], halted: Sequence[events.Announce], stopped: Set[int], ended: Set[int]
 ) -> None:
-    """Each first Stop of a servo that it `stopped` is announced with its cause; nothing is that has not `ended`."""
+    """Demand that first Stops of the servos in `stopped` are announced with their cause, and of none but `ended`."""
     written = {
         (effect.cause, servo_id)
         for effect in effects
@@ -69,7 +69,7 @@ def judge_halts(
 
 
 def spelled_out(effects: Iterable[events.Effect]) -> Iterator[events.Effect]:
-    """The same, with what each frame completes behind it."""
+    """Yield the effects, and after each frame the commands that it completes."""
     for effect in effects:
         yield effect
         if isinstance(effect, events.Transmit):
@@ -77,31 +77,37 @@ def spelled_out(effects: Iterable[events.Effect]) -> Iterator[events.Effect]:
 
 
 def supply_of(effects: Iterable[events.Effect]) -> list[events.Effect]:
-    """Those that are the power board's."""
+    """Return the effects that are for the power board."""
     return [each for each in effects if isinstance(each, events.Cut | events.Feed | events.ClearErrors)]
 
 
+def stopped_by(effects: Iterable[events.Effect]) -> set[int]:
+    """Return the servos that the Stops among the frames name."""
+    stops = [each.frame for each in effects if isinstance(each, events.Transmit) and each.frame.is_stop]
+    return {servo_id for stop in stops for servo_id, _ in stop.servos}
+
+
 def is_coalesced(request: events.Request) -> bool:
-    """Whether a newer command has replaced a part of it."""
+    """Return whether a newer command has replaced a part of this one."""
     return isinstance(request, events.Command) and request.coalesced
 
 
 def rejections_of(number: int, effects: Iterable[events.Effect]) -> list[Reason]:
-    """Why this command is rejected."""
+    """Return the reasons for which the command with this number is rejected: one at most, if all is well."""
     return [
         effect.reason for effect in effects if isinstance(effect, events.Rejected) and effect.request.number == number
     ]
 
 
 def is_newer(reset: events.Reset, age_ns: int, estops: int, rules: Rules) -> bool:
-    """Whether a reset was certainly sent after the latest emergency stop, which is so old."""
+    """Return whether a reset was certainly sent after the latest emergency stop, which is `age_ns` old."""
     if reset.estop is None:
         return age_ns >= rules.unnumbered_reset_ns
     return reset.estop == estops and age_ns > 0
 
 
 def judge_results(effects: Sequence[events.Effect]) -> None:
-    """Judge the pass over a step's outcome: all frames are written, one fails, or all do. Raises Violation."""
+    """Judge a step's answers if all its frames are written, if one fails, and if all do. Raise Violation."""
     undisturbed = events.results(effects)
     if not undisturbed:
         return
@@ -125,7 +131,7 @@ def judge_answer(
     reason: Reason | None,
     token: str | None,
 ) -> None:
-    """Demand the only answer to a request: why it is rejected, or None; and who is granted something gets its token."""
+    """Demand one answer to a request, with this reason for a rejection (None: it is granted, with this token)."""
     answers = [effect for effect in effects if isinstance(effect, events.RequestAnswer)]
     demand([each.reason for each in answers] == [reason], f"{request.do} is answered with {reason}, not {answers}")
     token = token if reason is None else None
@@ -133,24 +139,24 @@ def judge_answer(
 
 
 def cloned(thing: T, **changed: object) -> T:
-    """A copy with the same attributes, but these; copy.copy takes four times as long."""
+    """Return a copy with these attributes changed; copy.copy takes four times as long."""
     other = object.__new__(type(thing))
     other.__dict__.update(thing.__dict__, **changed)
     return other
 
 
 class Want(NamedTuple):
-    """What an accepted command wants of a servo, as long as no frame has said it."""
+    """A servo's target from an accepted command that no frame has carried out yet."""
 
     op: Op
     angle_cdeg: int
     number: int
     from_cdeg: int | None = None
-    """Of a start: the angle at which it begins, as known when it was first asked for; None: at its newest target."""
+    """The known angle at which a start begins, as of its first command; None: it begins at its newest target."""
 
 
 def numbered(effect: events.Effect) -> object:
-    """An effect with the numbers of requests in place of these."""
+    """Return an effect in which requests are replaced by their numbers, so that two runs can be compared."""
     match effect:
         case events.Transmit():
             numbers = [[each.number for each in named] for named in (effect.commands, effect.done)]
@@ -163,39 +169,39 @@ def numbered(effect: events.Effect) -> object:
 
 
 def speed_age_ns(since_ns: int, now_ns: int, rules: Rules) -> int | None:
-    """How long ago, as far as it matters: a servo with a limited speed gets anywhere in the time for 180 degrees."""
+    """Return how long ago that was, at most the time for 180 degrees: more makes no difference. None: no limit."""
     speeds = [*rules.max_speed_cdeg_s.values(), *([rules.takeover_cdeg_s] if rules.takeover_cdeg_s else [])]
     return min(now_ns - since_ns, 180_00 * NS_PER_S // min(speeds) + 1) if speeds else None
 
 
 @dataclass
 class ServoHistory:
-    """One servo: the angle last written while it is energised, what is wanted of it, what is owed to it."""
+    """One servo: the angle last written while it is energised, its pending target, and the Stops owed to it."""
 
     written_cdeg: int | None = None
     want: Want | None = None
     bound_cdeg: int | None = None
-    """Where a command sends it, while its speed is limited and it is not there."""
+    """The target on the way to which it is, with a limited speed."""
     bound_for: int = 0
-    """Which command that is."""
+    """The number of the command with that target."""
     said_ns: int = 0
-    """When a frame last named it."""
+    """When a frame last moved it."""
     source: str | None = None
     """Who started or set it last."""
     eases: bool = False
     """Whether it has not arrived since another source commanded it, or since its start at an angle that was known."""
     stood_cdeg: int | None = None
-    """Where it was when it was stopped; None: nobody knows."""
+    """Its angle when it was stopped; None: unknown."""
     stood_ns: int = 0
     edge_ns: int | None = None
-    """Since when it is on its way across angles that are never sent."""
+    """Since when it crosses angles that are never sent."""
     owed: int = 0
     owed_ns: int = 0
     stopped_ns: int | None = None
     stopped_by: frozenset[str] = frozenset()
 
     def key(self, now_ns: int, instant_ns: int, rank: dict[int, int], rules: Rules) -> tuple[object, ...]:
-        """What of it still matters; see `Oracle.key`."""
+        """Return what still matters; see `RobotHistory.key`."""
         return (
             self.written_cdeg,
             self.want and (self.want.op, self.want.angle_cdeg, self.want.from_cdeg, rank[self.want.number]),
@@ -209,20 +215,20 @@ class ServoHistory:
         )
 
     def rest(self, now_ns: int) -> None:
-        """A Stop was written."""
+        """Record that a Stop was written."""
         if self.written_cdeg is not None:
             self.stood_cdeg, self.stood_ns = self.written_cdeg, now_ns
         self.written_cdeg, self.eases = None, False
 
     def stands(self, now_ns: int, rules: Rules) -> int | None:
-        """Where it is, if anybody knows."""
+        """Return its angle, or None if it is unknown."""
         if self.on:
             return self.written_cdeg
         known = rules.takeover_cdeg_s and now_ns - self.stood_ns <= rules.takeover_known_ns
         return self.stood_cdeg if known else None
 
     def wants(self, command: events.Command, op: ServoOp, moved_ns: int | None, now_ns: int, rules: Rules) -> None:
-        """An accepted command starts or sets it; a frame moved its leg at `moved_ns`."""
+        """Take the target of an accepted command; a frame last moved its leg at `moved_ns`."""
         from_cdeg = None
         if self.on:
             if rules.takeover_cdeg_s and self.source != command.source and not self.eases:
@@ -246,13 +252,13 @@ class ServoHistory:
         return self.want is not None and self.want.op is Op.START
 
     def stop(self, by: str, instant_ns: int) -> None:
-        """A Stop that somebody asked for ends what was wanted."""
+        """Record a Stop by this channel or cause, which ends its pending target."""
         self.want = self.bound_cdeg = self.edge_ns = None
         self.stopped_by = (self.stopped_by if self.stopped_ns == instant_ns else frozenset()) | {by}
         self.stopped_ns = instant_ns
 
     def owe(self, rules: Rules, now_ns: int) -> None:
-        """A Stop was written, and is to be repeated. A repeat that is owed already does not move."""
+        """Record a Stop that is to be repeated. A repeat that is owed already keeps its time."""
         self.owed_ns = self.owed_ns if self.owed else now_ns + rules.repeat_interval_ns
         self.owed = rules.repeats
 
@@ -264,14 +270,14 @@ class LegHistory:
     commanded_ns: int | None = None
     moved_ns: int | None = None
     bucket_ns: int = 0
-    """After the frame; a rate slot is a period."""
+    """The bucket's content after that frame, in nanoseconds of rate slots."""
     source: str | None = None
-    """Whose command is in force."""
+    """The source of the command in force."""
     unfed_ns: int | None = None
-    """Since when a start of it waits for its supply."""
+    """Since when a start waits for its supply."""
 
     def key(self, now_ns: int, rules: Rules, *, armed: bool) -> tuple[object, ...]:
-        """What of it still matters; see `Oracle.key`."""
+        """Return what still matters; see `RobotHistory.key`."""
         return (
             min(now_ns - self.commanded_ns, rules.timeout_ns) if self.commanded_ns is not None and armed else None,
             self.held_ns(now_ns, rules.period_ns),
@@ -282,7 +288,7 @@ class LegHistory:
     # The rate is a token bucket: it fills by a rate slot in a period, up to three.
 
     def moved(self, now_ns: int, period_ns: int) -> None:
-        """A frame moves this leg now; raise Violation where it may not."""
+        """Record a frame that moves this leg now. Raise Violation if it may not."""
         held_ns = self.held_ns(now_ns, period_ns)
         demand(held_ns >= period_ns, "no frame without a rate slot")
         apart = self.moved_ns is None or 4 * (now_ns - self.moved_ns) >= period_ns
@@ -290,12 +296,12 @@ class LegHistory:
         self.moved_ns, self.bucket_ns = now_ns, held_ns - period_ns
 
     def held_ns(self, now_ns: int, period_ns: int) -> int:
-        """What the bucket holds now."""
+        """Return the bucket's content now."""
         full_ns = 3 * period_ns
         return full_ns if self.moved_ns is None else min(full_ns, self.bucket_ns + now_ns - self.moved_ns)
 
     def slot_ns(self, period_ns: int) -> int:
-        """From when a frame for this leg need not wait any more."""
+        """Return from when a frame for this leg need not wait any more."""
         if self.moved_ns is None:
             return 0
         quarter_ns = -(-period_ns // 4)
@@ -309,7 +315,7 @@ def change_hands(
     targets: events.Targets,
     effects: Iterable[events.Effect],
 ) -> None:
-    """An accepted command for another source's running legs changes their source, which is announced once each."""
+    """Give the legs that an accepted command names to its source. Demand an announcement for each that ran."""
     named = {servo_id // 10: legs[servo_id // 10] for servo_id, _ in targets}
     moved = {servo_id // 10 for servo_id, op in targets if op.op is not Op.STOP}
     changed = {number: leg for number, leg in named.items() if leg.source != command.source}
@@ -331,13 +337,13 @@ def change_hands(
 
 
 Gap = Callable[[int, int, int], tuple[int, int] | None]
-"""Of a servo, and of where it goes from and to: `CalibrationHistory.gap`."""
+"""`CalibrationHistory.gap`: takes a servo, and the angles from and to which it goes."""
 
 
 def stepped(
     servo: ServoHistory, servo_id: int, angle_cdeg: int, target_cdeg: int, now_ns: int, rules: Rules, gap: Gap
 ) -> None:
-    """A frame takes a servo to `angle_cdeg`, towards its target. Raise Violation where it is too far or too little."""
+    """Record a frame that takes a servo to an angle, towards its target. Raise Violation if it is too far or near."""
     stood_cdeg = servo.written_cdeg
     if servo.want is not None and not servo.on:
         stood_cdeg, servo.said_ns = servo.want.from_cdeg, now_ns
@@ -384,7 +390,7 @@ class LandingHistory:
     parts_ns: dict[int, int]
 
     def key(self, now_ns: int) -> tuple[object, ...]:
-        """Return what of it still matters."""
+        """Return what still matters."""
         parts = tuple(sorted(self.parts_ns.items()))
         return now_ns - self.began_ns, self.ends_ns - now_ns, tuple(self.ways_cdeg.items()), parts
 

@@ -46,20 +46,21 @@ from tests.support.history import (
     judge_results,
     rejections_of,
     stepped,
+    stopped_by,
     supply_of,
 )
 from tests.support.robot_history import RobotHistory
 
 
 class Oracle(RobotHistory):
-    """The history of one robot and what it demands of the next step."""
+    """The history of one robot, and the judge of its next step."""
 
     def judge(
         self, event: Event, now_ns: int, effects: Sequence[Effect], after: Supervisor, instant_ns: int | None = None
     ) -> None:
-        """Judge one step: what came, what the supervisor wants done, and what it says of itself after it.
+        """Judge one step by its event, its effects, and the supervisor after it. Raise Violation.
 
-        What came belongs to the instant that began at `instant_ns`, to one of its own if that is not given.
+        The event belongs to the instant that began at `instant_ns`, or to one of its own.
         """
         self.instant_ns = now_ns if instant_ns is None else instant_ns
         self._pose_cdeg = self.calibration.landing_cdeg()  # a deadline comes before what the step takes
@@ -213,7 +214,7 @@ class Oracle(RobotHistory):
             self.queue_ended(event)
 
     def _expired(self, now_ns: int) -> list[int]:
-        """The legs that the watchdog must stop now, before anything else; they count as stopped from here on."""
+        """Stop the legs that the watchdog must stop now, before anything else, and return them."""
         if not self.bus_ok:
             return []
         waited_ns = {number: now_ns - leg.unfed_ns for number, leg in self.legs.items() if leg.unfed_ns is not None}
@@ -225,7 +226,7 @@ class Oracle(RobotHistory):
         return unfed + self._silent_legs(now_ns)
 
     def _silent_legs(self, now_ns: int) -> list[int]:
-        """Those of them that were not heard for the timeout."""
+        """Stop the legs that had no command within the timeout, and return them."""
         silent = [
             number
             for number, leg in self.legs.items()
@@ -245,7 +246,7 @@ class Oracle(RobotHistory):
         return stopped
 
     def _unwatched(self, now_ns: int) -> list[int]:
-        """The legs that must be stopped now, since fewer buttons are alive than are required."""
+        """Stop all legs if fewer buttons are alive than are required, and return them."""
         if not (self.bus_ok and self.buttons.closed and self.alive) or self.landing is not None:
             return []
         fell_ns = self.buttons.fell_ns
@@ -253,13 +254,13 @@ class Oracle(RobotHistory):
         return self._down(fell_ns or 0, now_ns)
 
     def _fallen(self, now_ns: int) -> list[int]:
-        """The legs that must be stopped now, since the body has fallen."""
+        """Stop all legs if the body has fallen, and return them."""
         if not (self.bus_ok and self.body.fallen and self.alive) or self.landing is not None:
             return []
         return self._down((self.body.tilted_ns or 0) + self.rules.tilt_ns, now_ns)
 
     def _unfed(self, event: Event, now_ns: int) -> list[int]:
-        """The legs that must be stopped now, since the board does not feed them, or does not answer."""
+        """Stop the legs that the board does not feed, or all if it does not answer, and return them."""
         if not isinstance(event, PowerSeen) or not (self.bus_ok and self.alive):
             return []
         if not event.alive:
@@ -274,7 +275,7 @@ class Oracle(RobotHistory):
         return stopped
 
     def _down(self, since_ns: int, now_ns: int) -> list[int]:
-        """All legs, unless the robot lands."""
+        """Stop all legs, unless the robot lands, and return them."""
         if self._lands(since_ns, now_ns):
             return []
         self._stopped_unasked(list(self.legs), now_ns)
@@ -294,7 +295,7 @@ class Oracle(RobotHistory):
             self._lose({each.want.number for each in self.servos.values() if each.want is not None and not each.on})
 
     def _lands(self, deadline_ns: int, now_ns: int) -> bool:
-        """Whether the robot lands now, since `deadline_ns` has passed, something runs, and there is time left."""
+        """Begin a landing if something runs and time is left since the deadline. Return whether the robot lands."""
         ends_ns = deadline_ns + self.rules.landing_ns
         if not self.energised or now_ns >= ends_ns:
             return False
@@ -311,7 +312,7 @@ class Oracle(RobotHistory):
         return True
 
     def _unasked(self, transmit: Transmit, now_ns: int) -> None:
-        """A frame that nobody commanded: the watchdog's."""
+        """Judge a frame that nobody commanded: it must be the watchdog's."""
         demand(transmit.cause is Cause.WATCHDOG, f"a frame without a cause: {transmit.cause}")
         if transmit.frame.is_stop:
             return
@@ -321,7 +322,7 @@ class Oracle(RobotHistory):
             self.landing.judge(transmit, self.servos, now_ns, self.rules, self.calibration.gap)
 
     def _command(self, command: Command, now_ns: int, effects: Sequence[Effect]) -> frozenset[int]:
-        """Whether it must be accepted, and what it then wants: of a rejected one, its Stops. Returns what it stops."""
+        """Judge a command's verdict, and take its targets (its Stops, if it is rejected). Return the stopped servos."""
         self.backlog.comes(command, self.instant_ns, now_ns)
         reason, targets = self.reason_to_reject(command), command.targets
         reason = reason if command.rejected is None else command.rejected.reason
@@ -348,10 +349,7 @@ class Oracle(RobotHistory):
             targets = tuple((servo_id, STOP) for servo_id in self.servos)
         running = [number for number in self.legs if self.armed(number)]
         change_hands(self.legs, running, command, targets, effects)
-        told_to_stop: set[int] = set()
-        for effect in effects:
-            if isinstance(effect, Transmit) and effect.frame.is_stop:
-                told_to_stop |= {servo_id for servo_id, op in effect.frame.servos if op.op is Op.STOP}
+        told_to_stop = stopped_by(effects)
         for servo_id, op in targets:
             servo = self.servos[servo_id]
             if op.op is not Op.STOP:
@@ -369,14 +367,14 @@ class Oracle(RobotHistory):
     def _must_be_rejected(
         self, event: Command | Reset | Calibrate | CalibrationSaved, effects: Sequence[Effect], reason: Reason | None
     ) -> None:
-        """For this reason; None: it must not be."""
+        """Demand that a request is rejected for this reason, or that it is not (None)."""
         reasons = rejections_of(event.number, effects)
         name = "" if isinstance(event, Command) else f"a {type(event).__name__.lower()} "
         demand(reasons == ([] if reason is None else [reason]), f"{name}rejected for {reason}, not for {reasons}")
         self.pending[event.number] = False
 
     def _calibrate(self, event: Calibrate, effects: Sequence[Effect], now_ns: int) -> None:
-        """Whether it must be accepted; then it is kept, and answered once that is done."""
+        """Judge a change of the calibration: if it is accepted, it is kept, and answered once that is done."""
         closed = CLOSED.get(self.mode) or self.reason_to_move_nothing(event.lease)
         reason = self.calibration.calibrate(event, effects, closed, self.alive)
         self._must_be_rejected(event, effects, reason)
@@ -399,7 +397,7 @@ class Oracle(RobotHistory):
     # ---- frames
 
     def _moved(self, transmit: Transmit, stops: frozenset[int], now_ns: int) -> None:
-        """A frame that a command caused: each servo is sent its target, or its present operation again."""
+        """Judge a frame that a command caused: each servo is sent its target, or its present operation again."""
         leg_number = transmit.frame.leg
         leg = self.legs[leg_number]
         if not transmit.frame.is_stop:

@@ -1,4 +1,4 @@
-"""What a judge of the supervisor remembers of the lease, the buttons and messages without a time; see `oracle.py`."""
+"""The part of the oracle (`oracle.py`) that is about the lease, the buttons, and messages without a time."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
@@ -21,22 +21,22 @@ class LeaseHistory:
     def __init__(self, rules: Rules) -> None:
         self.rules = rules
         self.token: str | None = None
-        """The one that is good now."""
+        """The token in force."""
         self.old_token: str | None = None
         """The latest that is not good any more."""
         self.holder: str | None = None
         self.due_ns: int | None = None
         self.askers: tuple[str, ...] = ()
         self.is_new = False
-        """Whether somebody has acquired it in this step."""
+        """Whether somebody has acquired the lease in this step."""
 
     def key(self, now_ns: int) -> tuple[object, ...]:
-        """Return what of it still matters; one token is as good as another."""
+        """Return what still matters; one token is as good as another."""
         left_ns = None if self.due_ns is None else self.due_ns - now_ns
         return self.holder, self.token is not None, self.old_token is not None, left_ns, self.askers
 
     def end(self) -> None:
-        """It is free."""
+        """Free the lease."""
         self._give(None, None, None)
 
     def _give(self, holder: str | None, token: str | None, now_ns: int | None) -> None:
@@ -47,7 +47,7 @@ class LeaseHistory:
     # ---- time and commands
 
     def pass_time(self, now_ns: int, effects: Sequence[Effect]) -> None:
-        """A holder that is silent for the ttl loses the lease, which is announced once."""
+        """End the lease of a holder that is silent for the ttl, and demand that this is announced once."""
         self.is_new = False
         late = self.due_ns is not None and now_ns >= self.due_ns
         expired = [each.source for each in announced(effects, {Kind.LEASE_EXPIRED})]
@@ -64,7 +64,7 @@ class LeaseHistory:
         return None if token == self.token else Reason.NOT_HOLDER
 
     def record_use(self, token: str | None, now_ns: int) -> None:
-        """A command with this token was accepted."""
+        """Record that a command with this token was accepted."""
         if token is not None and token == self.token:
             self.due_ns = now_ns + self.rules.lease_ttl_ns
 
@@ -122,7 +122,7 @@ class LeaseHistory:
 MOST_OF_ONE = 4
 MOST_UNPROVED = 16
 DRIFT = 5000
-"""A nanosecond in so many: 200 ppm."""
+"""The clocks may drift apart by one nanosecond in this many: 200 ppm."""
 _BUTTON_KINDS = frozenset({Kind.BUTTON_REGISTERED, Kind.BUTTON_LEFT, Kind.BUTTON_RETURNED})
 
 
@@ -144,7 +144,7 @@ class ButtonHistory:
 
 
 class ButtonsHistory:
-    """Which buttons are registered, and until when each is alive."""
+    """The registered buttons, and until when each is alive."""
 
     def __init__(self, rules: Rules) -> None:
         self.rules = rules
@@ -154,7 +154,7 @@ class ButtonsHistory:
         self.fell_ns: int | None = None
 
     def key(self, now_ns: int) -> tuple[object, ...]:
-        """Return what of it still matters; one token is as good as another, and so is a count."""
+        """Return what still matters; one token is as good as another, and so is a count."""
         each = tuple(
             (
                 button.name,
@@ -172,7 +172,7 @@ class ButtonsHistory:
 
     @property
     def alive(self) -> int:
-        """Return how many certificates have a button that counts; where nothing is proved, how many names."""
+        """Return how many certificates have a live button that counts; without proof, how many names."""
         who = [each for each in self.known.values() if each.until_ns is not None and each.counts]
         proved = {each.holder for each in who if each.holder is not None}
         return len(proved) + len([each for each in who if each.holder is None])
@@ -189,7 +189,7 @@ class ButtonsHistory:
     # ---- time
 
     def pass_time(self, now_ns: int, effects: Sequence[Effect]) -> None:
-        """A button without a check-in for the timeout is silent. Each is announced once, in the order of their ends."""
+        """End the buttons without a check-in for the timeout, and demand that each is announced once, in order."""
         late = [(button.until_ns, token) for token, button in self.known.items() if button.until_ns is not None]
         late = sorted((each for each in late if now_ns >= each[0]), key=lambda each: each[0])
         silent = [each.source for each in announced(effects, {Kind.BUTTON_SILENT})]
@@ -278,10 +278,10 @@ class Rhythm(NamedTuple):
     messages: int
     score: int
     servos: frozenset[int]
-    """All that they start or set."""
+    """The servos that they start or set."""
 
     def key(self, now_ns: int, rules: Rules) -> tuple[object, ...]:
-        """Return what of it still matters."""
+        """Return what still matters."""
         young_ns = max(0, self.first_ns + rules.start_wait_ns - now_ns)
         apart_ns = max(0, self.instant_ns + rules.apart_ns - now_ns)
         return young_ns, now_ns - self.last_ns, apart_ns, min(self.messages, 4), self.score, self.servos
@@ -289,7 +289,7 @@ class Rhythm(NamedTuple):
 
 @dataclass(slots=True)
 class BacklogHistory:
-    """How messages without a time came on each key, and since when servos' starts wait for what comes after them."""
+    """The messages without a time on each key, and since when servos' starts wait for later ones."""
 
     rules: Rules
     rhythms: dict[str, Rhythm] = field(default_factory=dict)

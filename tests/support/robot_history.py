@@ -1,4 +1,4 @@
-"""What a judge of the supervisor remembers of one robot, and how the model check tells two such histories apart."""
+"""The part of the oracle (`oracle.py`) that is about the whole robot, its body and its supply, and Stops at rest."""
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Self
@@ -30,29 +30,30 @@ from tests.support.history import (
     cloned,
     demand,
     is_announced,
+    stopped_by,
     supply_of,
 )
 from tests.support.request_history import BacklogHistory, ButtonsHistory, LeaseHistory
 
 
 class BodyHistory:
-    """What the latest measurements have said of the battery and the body."""
+    """Battery and body by the latest measurements."""
 
     def __init__(self, rules: Rules) -> None:
         self.rules = rules
         self.low = self.fallen = False
         self.unknown = rules.min_battery_mv > 0
-        """A battery with a limit that was not measured yet may be empty."""
+        """Whether a battery with a limit was not measured yet: it may be empty."""
         self.tilted_ns: int | None = None
-        """The first measurement of the present time beyond the limit."""
+        """When the present tilt beyond the limit was first measured."""
 
     def key(self, now_ns: int) -> tuple[object, ...]:
-        """What of it still matters."""
+        """Return what still matters."""
         age_ns = None if self.tilted_ns is None else min(now_ns - self.tilted_ns, self.rules.tilt_ns)
         return self.low, self.unknown, self.fallen, age_ns
 
     def judge(self, event: BodyMeasured | None, now_ns: int, effects: Sequence[Effect]) -> None:
-        """Take a measurement, and judge what is announced of it; None: another event came, and nothing is."""
+        """Take a measurement (None: another event came), and judge what is announced of the body."""
         before = self.low, self.fallen
         if event is not None:
             self._take(event, now_ns)
@@ -77,7 +78,7 @@ class BodyHistory:
 
 
 class PowerHistory:
-    """Whether the board answered when it was last seen, and which servos it refused."""
+    """Supply: whether the power board answers, which servos it refuses, feeds and may feed."""
 
     def __init__(self, rules: Rules) -> None:
         self.rules = rules
@@ -85,20 +86,20 @@ class PowerHistory:
         """A board that has not answered yet feeds nothing."""
         self.blocked: frozenset[int] = frozenset()
         self.withheld: frozenset[int] = frozenset()
-        """Those that drew current, or that another program has switched off, until a reset."""
+        """Servos that drew current, or that another program has switched off, until a reset."""
         self.trusted = rules.angles_first
         """Whether a fed servo was seen at rest since the last fault."""
         self.ordered: dict[int, int | None] = {}
-        """What is to be fed by the latest step."""
+        """The servos to feed since the latest step, each as in `to_feed`."""
         self.why: tuple[Mode, int] | None = None
         """The mode for which all supply is cut, with the number of the emergency stop."""
         self.is_cut = False
         self.fed: frozenset[int] = frozenset()
-        """What it has confirmed to feed, of what runs or waits to be started since."""
+        """The servos that the board has confirmed to feed, of those that run or wait to be started since."""
         self.on = rules.power
 
     def key(self) -> tuple[object, ...]:
-        """What of it still matters."""
+        """Return what still matters."""
         ordered = tuple(self.ordered.items())
         return self.silent, self.blocked, self.withheld, self.trusted, ordered, self.is_cut, self.fed
 
@@ -107,16 +108,16 @@ class PowerHistory:
         return self.blocked | self.withheld
 
     def _deaf(self, seen: PowerSeen) -> bool:
-        """Whether the controller does not obey: the servo that is fed alone draws current."""
+        """Return whether the controller does not obey: the servo that is fed alone draws current."""
         return not (self.trusted or seen.rests) and any(servo_id in self.ordered for servo_id, _ in seen.drew)
 
     def doubts(self, seen: PowerSeen) -> bool:
-        """Whether a servo that should be off may be on."""
+        """Return whether a servo that should be off may be on."""
         unfed = any(servo_id not in self.ordered for servo_id, _ in seen.drew)
         return bool(seen.doubt) or unfed or self._deaf(seen)
 
     def take(self, event: Event) -> None:
-        """From now on this is what it has said, if it has said something."""
+        """Take a report of the board, if the event is one."""
         self.restored = False
         if isinstance(event, PowerSeen):
             self.silent, self.blocked = not event.alive, frozenset(servo_id for servo_id, _ in event.refused)
@@ -168,7 +169,7 @@ class PowerHistory:
         self.ordered, self.why = ordered, why
 
     def reason_to_reject(self, moved: Collection[int]) -> Reason | None:
-        """Why these servos may neither start nor move."""
+        """Return why these servos may neither start nor move, or None."""
         return Reason.NO_POWER if self.silent or not self.refused.isdisjoint(moved) else None
 
     def after(self, alive: Collection[int], *, lands: bool) -> None:
@@ -179,7 +180,7 @@ class PowerHistory:
 
 
 class RobotHistory:
-    """What was asked of one robot and sent to it. `legs` are all the legs there are."""
+    """The requests to one robot and the frames to it. `legs` are all its legs."""
 
     _lost: frozenset[int] = frozenset()
     """Commands of which the watchdog dropped something in this step."""
@@ -211,21 +212,21 @@ class RobotHistory:
         self.power = PowerHistory(rules)
         self.backlog = BacklogHistory(rules)
         self.fault = Kind.BUS_FAULT
-        """Whether the bus is at fault because the controller does not answer."""
+        """The latest fault of the bus."""
         self.calibration = CalibrationHistory(rules, calibration or RobotCalibration(), fault)
         self.landing: LandingHistory | None = None
         self.energised_leg: int | None = None
         self.energised_ns = 0
         self.rest_ns: int | None = None
-        """When the legs at rest must get a Stop."""
+        """When the legs at rest must get a Stop; None: no Stop is owed."""
         self.runs_left = 0
         """How many more runs of Stops are owed while nothing runs."""
         self.settled_ns = 0
-        """From when a run is one of them: far enough behind the last Stop and its repeats."""
+        """From when a run counts as one of these: long enough after the last Stop and its repeats."""
         self.owing: list[ServoHistory] = []
-        """The servos that get a Stop in this step which is no repetition."""
+        """The servos that get a first Stop in this step."""
         self.sent_again: list[Frame] = []
-        """This step's repeats: an equal frame after one is of a run for legs at rest."""
+        """This step's repeated frames: a second equal frame belongs to a run for legs at rest."""
         self.together = False
         """Whether all repeats may go with one that is due, since nothing runs."""
         self.put_off = False
@@ -234,7 +235,7 @@ class RobotHistory:
     # ---- for the model checker
 
     def clone(self) -> Self:
-        """A copy that shares nothing that changes."""
+        """Return a copy that shares nothing that changes."""
         return cloned(
             self,
             legs={number: cloned(leg) for number, leg in self.legs.items()},
@@ -250,7 +251,7 @@ class RobotHistory:
         )
 
     def key(self, now_ns: int, rank: dict[int, int]) -> tuple[object, ...]:
-        """What of the history still matters, relative to now; `rank` numbers the pending commands by age."""
+        """Return what of the history still matters, relative to now; `rank` numbers the pending commands by age."""
         legs = tuple(leg.key(now_ns, self.rules, armed=self.armed(number)) for number, leg in self.legs.items())
         servos = tuple(servo.key(now_ns, self.instant_ns, rank, self.rules) for servo in self.servos.values())
         oldest_ns = self.rules.unnumbered_reset_ns
@@ -295,7 +296,7 @@ class RobotHistory:
         return [self.servos[servo_id] for servo_id in servo_ids_of(leg)]
 
     def held(self, leg: int) -> list[int]:
-        """The servos of a leg whose starts wait for supply: a command starts all its servos together."""
+        """Return the servos of a leg whose starts wait for supply: a command starts all its servos together."""
         starting = {
             each: servo.want for each, servo in self.servos.items() if servo.want and servo.starts and not servo.on
         }
@@ -304,12 +305,12 @@ class RobotHistory:
 
     @property
     def energised(self) -> frozenset[int]:
-        """The servos that the frames so far have energised."""
+        """Return the servos that the frames so far have energised."""
         return frozenset(servo_id for servo_id, servo in self.servos.items() if servo.on)
 
     @property
     def mode(self) -> Mode:
-        """What the gateway must say it is doing."""
+        """Return the mode that the gateway must report."""
         if self.ended:
             return Mode.STOPPING
         if not self.bus_ok:
@@ -320,11 +321,11 @@ class RobotHistory:
 
     @property
     def alive(self) -> frozenset[int]:
-        """The servos that run or wait to be started."""
+        """Return the servos that run or wait to be started."""
         return frozenset(servo_id for servo_id, servo in self.servos.items() if servo.on or servo.starts)
 
     def to_feed(self) -> dict[int, int | None]:
-        """What runs (None), and what waits to be started, with the wire angle at which its supply may start it."""
+        """Return the servos that run (None), and those that wait to start: their wire angle for a start by supply."""
         found: dict[int, int | None] = {}
         for servo_id, servo in self.servos.items() if self.bus_ok else ():
             if servo.on:
@@ -337,7 +338,7 @@ class RobotHistory:
     # ---- what is taken
 
     def learn(self, event: EstopKept | StoppedOutside) -> None:
-        """What an earlier run has left; or that `stop-servos` has ended."""
+        """Take what an earlier run has left, or the end of `stop-servos`."""
         if isinstance(event, StoppedOutside):
             self.outside = False
             return
@@ -346,7 +347,7 @@ class RobotHistory:
             self.latched_ns = self.instant_ns
 
     def reason_to_reject(self, command: Command) -> Reason | None:
-        """Why a command takes no effect."""
+        """Return why a command must be rejected, or None."""
         closed = CLOSED.get(self.mode)
         moves = [(self.servos[servo_id], servo_id, op) for servo_id, op in command.targets if op.op is not Op.STOP]
         if moves:
@@ -377,24 +378,24 @@ class RobotHistory:
 
     @property
     def too_few_buttons(self) -> Reason | None:
-        """Why no start, set or reset is taken while fewer buttons are alive than are required."""
+        """Return why no start, set or reset is taken, if fewer buttons are alive than are required."""
         return Reason.NO_BUTTON if self.buttons.closed else None
 
     def _lose(self, numbers: set[int]) -> None:
-        """Commands are rejected as a whole."""
+        """Drop the commands with these numbers: each is rejected as a whole."""
         self._lost |= numbers
         for servo in self.servos.values():
             servo.want = None if servo.want is not None and servo.want.number in self._lost else servo.want
 
     def forget_angles(self, *, changed: bool) -> None:
-        """Another calibration is in force, or the bus is back: where servos stood is not known any more."""
+        """Forget where servos stood, if the calibration `changed` or the bus is back."""
         for servo in self.servos.values() if changed else ():
             servo.stood_cdeg = None
 
     # ---- frames
 
     def named(self, transmit: Transmit, command: int) -> None:
-        """A frame names the commands that it carries out, so that the answer of one that fails later names its leg."""
+        """Demand that a frame names the commands that it carries out: if it fails, their answers name its leg."""
         ready, stops = self.ungated(transmit.frame.leg), transmit.frame.is_stop
         says = [each for each, op in transmit.frame.servos if stops or (each in ready and op is not STOP)]
         wants = {want.number for servo_id in says if (want := self.servos[servo_id].want)}
@@ -405,7 +406,7 @@ class RobotHistory:
         demand(named == {command} or not transmit.frame.is_stop, f"a Stop of command {command} names {named}")
 
     def repeated(self, transmit: Transmit, now_ns: int) -> list[Transmit]:
-        """A Stop without a command: returns it if it is no repetition, and so must be for a leg at rest."""
+        """Take a Stop without a command. Return it if it repeats no other: then it must be for a leg at rest."""
         demand(transmit.frame.is_stop, "only Stops are repeated")
         servos = [self.servos[servo_id] for servo_id, _ in transmit.frame.servos]
         for servo_id, _ in transmit.frame.servos:
@@ -427,32 +428,27 @@ class RobotHistory:
     # ---- legs at rest
 
     def owe(self, servos: Iterable[ServoHistory], now_ns: int) -> None:
-        """These get a Stop now, which is to be repeated."""
+        """Record a Stop to these servos, which is to be repeated."""
         for servo in servos:
             servo.owe(self.rules, now_ns)
             self.owing.append(servo)
 
     @property
     def resting(self) -> list[int]:
-        """The legs of which no servo runs or waits to be started."""
+        """Return the legs of which no servo runs or waits to be started."""
         return [number for number in self.legs if not self.armed(number)]
 
     def rest(
         self, effects: Sequence[Effect], unowed: Sequence[Transmit], now_ns: int, *, ran: bool, silent: bool
     ) -> None:
-        """The Stops that no command wants and no Stop before them owes (`unowed`), at the end of a step.
+        """Judge the Stops that neither a command nor an earlier Stop explains (`unowed`), at the end of a step.
 
         `ran`: something ran before it; `silent`: the watchdog stops a leg in it.
         """
         came = ran and not self.energised
         at_once = silent or came
         expected: list[tuple[Frame, bool]] = []
-        stopped = {
-            servo_id
-            for effect in effects
-            if isinstance(effect, Transmit) and effect.frame.is_stop and effect not in unowed
-            for servo_id, _ in effect.frame.servos
-        }
+        stopped = stopped_by(effect for effect in effects if effect not in unowed)
         started = not ran and bool(self.energised)
         due = self.rest_ns is not None and now_ns >= self.rest_ns and not started
         if (at_once or due) and self.resting:
@@ -480,7 +476,7 @@ class RobotHistory:
         demand(last == sorted(last), "Stops to legs at rest come after all others")
 
     def next_rest(self, now_ns: int, *, ran: bool) -> list[int]:
-        """When legs at rest get a Stop: while others run, and for a while after the last Stop."""
+        """Return when legs at rest get their next Stop: while others run, and for a while after the last Stop."""
         if self.energised:
             self.runs_left = 0
             if self.rest_ns is None or not ran:
@@ -503,17 +499,17 @@ class RobotHistory:
     # ---- starts without a time
 
     def ungated(self, leg: int) -> list[int]:
-        """The servos of a leg whose starts, if any, wait for nothing but their turn."""
+        """Return the servos of a leg whose starts, if any, wait for their rate slot only."""
         held = self.held(leg)
         return [each for each in servo_ids_of(leg) if each not in held and not self.gated(each)]
 
     def gated(self, servo_id: int) -> bool:
-        """Whether a servo's start waits for what may come after it."""
+        """Return whether a servo's start waits for messages that may come after it."""
         servo = self.servos[servo_id]
         return servo.starts and not servo.on and servo_id in self.backlog.waiting_ns
 
     def hold_starts(self, command: Command, now_ns: int) -> None:
-        """An accepted command: a servo that does not run waits for what may come after its start."""
+        """Let the starts of an accepted command wait for messages that may come after them."""
         named = [servo_id for servo_id, op in command.targets if op.op is not Op.STOP]
         for servo_id in self.servos if self.rules.starts_whole and named else named:
             servo = self.servos[servo_id]
@@ -521,7 +517,7 @@ class RobotHistory:
                 self.backlog.begins(servo_id, command, now_ns, waits=servo.starts)
 
     def judge_starts(self, now_ns: int) -> None:
-        """Of the starts that wait so, those leave or are rejected whose time has come."""
+        """Let the starts whose wait is over leave, or be rejected."""
         backlogs: set[int] = set()
         for servo_id, servo in self.servos.items():
             verdict = self.backlog.verdict(servo_id, now_ns) if self.gated(servo_id) else None
@@ -538,14 +534,14 @@ class RobotHistory:
         self.energised_leg, self.energised_ns = leg, now_ns
 
     def queue_ended(self, event: object) -> None:
-        """Whoever stops a leg does not want another to start a moment later."""
+        """Demand that a Stop has ended all starts that waited: nobody wants one a moment later."""
         own = event.number if isinstance(event, Command) else None
         for servo in self.servos.values():
             waits = servo.want is not None and servo.want.number != own and servo.starts and not servo.on
             demand(not waits, "with staggered starts, a Stop ends what waits to be energised")
 
     def next_start(self, now_ns: int) -> list[int]:
-        """With staggered starts: when one of the legs that wait to be started must be sent at the latest."""
+        """Return when the next leg must start at the latest, with staggered starts."""
         starting = [
             leg.slot_ns(self.rules.period_ns)
             for number, leg in self.legs.items()

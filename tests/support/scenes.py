@@ -1,4 +1,4 @@
-"""A supervisor to talk to in short words, with milliseconds for time; every step is also judged by the oracle.
+"""Scenes: events for a supervisor in short words, at times in milliseconds. The oracle judges each step, too.
 
 A scene is text: a line is an instant, what comes then, and what the step says.
 
@@ -37,7 +37,7 @@ Options = dict[str, str]
 
 
 def said(effect: events.Effect) -> str:  # noqa: PLR0911
-    """An effect in words: `command 11 start 90`, `watchdog 1 stop`, `completed 3 coalesced`, `rejected 4 stale`."""
+    """Return `command 11 start 90`, `watchdog 1 stop`, `completed 3 coalesced`, `rejected 4 stale`, and so on."""
     match effect:
         case events.Transmit(frame=frame):
             ops = (op for _, op in frame.servos)
@@ -67,7 +67,7 @@ def _named(servo_ids: Iterable[int]) -> str:
 
 
 def all_stopped(cause: str) -> list[str]:
-    """Stops to all six legs."""
+    """Return the words of Stops to all six legs."""
     return [f"{cause} {number} stop" for number in LEGS]
 
 
@@ -97,14 +97,14 @@ class Scenes:
         self.effects: list[events.Effect] = []
         self.halted: list[events.Announce] = []
         self.supply: list[str] = []
-        """The latest step's that had any: what was cut, and what is fed. The oracle demands it."""
+        """What was cut, and what is fed, by the latest step that changed either. The oracle demands it."""
         self.instant_ms: float | None = None
         self._number = 0
         if opened:
             self.take(0, events.BusOpened())
 
     def take(self, at_ms: float, event: events.Event) -> list[str]:
-        """One step; in the instant that began at `instant_ms`, or in one of its own.
+        """Take one step, in the instant that began at `instant_ms` or in one of its own. Return its effects in words.
 
         Words and `effects` leave out `legs_stopped` and the supply, and words the Stops that join first Stops, for
         legs at rest: the oracle demands each of them.
@@ -122,8 +122,8 @@ class Scenes:
         return [said(each) for each in spelled_out(self.effects) if each not in self.joining]
 
     def do(self, at_ms: float, words: str) -> list[str]:
-        """One step; its options stand in parentheses: `(lease anna, key legs)`. `lost leg 2 stop`: messages were lost,
-        and one may have been this. `timed leg 2 start 90`: it has its time, on a key of its own."""
+        """Take one step in words. Options stand in parentheses: `(lease anna, key legs)`. `lost leg 2 stop`: messages
+        were lost, perhaps this one. `timed leg 2 start 90`: it has its time, on a key of its own."""
         words, _, rest = words.partition(" (")
         options = dict(option.strip().split(" ", 1) for option in rest.rstrip(") ").split(",") if option)
         what, _, more = words.strip().partition(" ")
@@ -147,7 +147,7 @@ class Scenes:
         return self.take(at_ms, STEPS[what](self, more, options))
 
     def play(self, scene: str) -> "Scenes":
-        """Take each line of it."""
+        """Take each line of a scene."""
         for line in lines_of(scene):
             done, arrow, expected = line.partition("  #")[0].partition("→")
             at, _, words = done.strip().partition(" ")
@@ -161,7 +161,7 @@ class Scenes:
         return self
 
     def _pass(self, until_ms: float) -> list[str]:
-        """Let time pass as the service does: whatever is due is done when it is."""
+        """Let time pass as the service does: each deadline gets a step."""
         heard: list[str] = []
         while self.due_ms is not None and self.due_ms <= until_ms:
             heard += self.time(self.due_ms)
@@ -181,13 +181,13 @@ class Scenes:
         holder: str | None = None,
         counts: bool = True,
     ) -> list[str]:
-        """`register` by a name, whose token that then is as well (with a certificate, its holder's before it); `alive`
-        and `leave` by that token."""
+        """Take a request of a button: `register` by a name, which is its token, too (with a certificate, its holder's
+        before it); `alive` and `leave` by that token."""
         do, token = cast("Any", verb), who if holder is None else f"{holder}: {who}"
         return self.take(at_ms, events.ButtonRequest(do, _ns(at_ms), who, holder, counts, token, count, sent_ms, token))
 
     def next_number(self) -> int:
-        """Of a request that is answered by its number."""
+        """Return the number of the next request that is answered by its number."""
         self._number += 1
         return self._number
 
@@ -195,27 +195,27 @@ class Scenes:
 
     @property
     def joining(self) -> list[events.Transmit]:
-        """The latest step's Stops to legs at rest that leave with its first Stops."""
+        """Return the latest step's Stops to legs at rest that leave with its first Stops."""
         return [effect for effect in self.effects if isinstance(effect, events.Transmit) and effect.joins]
 
     def only(self, kind: type[T]) -> T:
-        """The only effect of this kind that the latest step has."""
+        """Return the only effect of this kind of the latest step."""
         (found,) = [effect for effect in self.effects if isinstance(effect, kind)]
         return found
 
     @property
     def announced(self) -> list[events.Announce]:
-        """What the latest step says to everybody."""
+        """Return the events of the latest step."""
         return [effect for effect in self.effects if isinstance(effect, events.Announce)]
 
     @property
     def detail(self) -> str:
-        """What the only rejection of the latest step states."""
+        """Return the sentence of the only rejection of the latest step."""
         return self.only(events.Rejected).detail
 
     @property
     def due_ms(self) -> float | None:
-        """When it wants to be woken."""
+        """Return the supervisor's next deadline."""
         due_ns = self.supervisor.due_ns
         return None if due_ns is None else due_ns / NS_PER_MS - 60_000
 
@@ -232,7 +232,7 @@ def _written(event: events.Announce) -> events.Announce:
 
 
 def play(scene: str) -> Scenes:
-    """Play it with a new robot."""
+    """Play a scene with a new robot."""
     lines = lines_of(scene)
     rules = rules_of(lines.pop(0).removeprefix("rules")) if lines[0].startswith("rules ") else None
     opened = lines[:1] != ["unopened"]
@@ -250,7 +250,7 @@ def scene_test(scenes: Mapping[str, str], before: str = "") -> Callable[[str], N
 
 
 def lines_of(scene: str) -> list[str]:
-    """Its lines, each with what it expects."""
+    """Return a scene's lines, each with what it expects."""
     return [line for each in re.sub(r"\n\s*→", " →", scene).splitlines() if (line := each.strip())]
 
 
@@ -260,7 +260,7 @@ def rules_of(words: str) -> Rules:
 
 
 def spelled(expected: str) -> list[str]:
-    """What a step is to say."""
+    """Return the effects that a line expects, in words."""
     items = [item.strip() for item in expected.split(";")]
     found: list[str] = []
     for item in items if items != ["nothing"] else []:
@@ -270,7 +270,7 @@ def spelled(expected: str) -> list[str]:
 
 
 def alike(said: Sequence[str], expected: Sequence[str]) -> bool:
-    """Whether a step said this, with anything for `…`."""
+    """Return whether a step's effects are the expected ones, with anything for `…`."""
     if not expected:
         return not said
     first, *rest = expected
@@ -284,7 +284,7 @@ def ids(words: str) -> tuple[int, ...]:
 
 
 def _board(_: Scenes, words: str, options: Options) -> events.PowerSeen:
-    """`board`, `board silent`, and as options `fed 31 33`, `lost 32`, `taken 32`, `refused 12` (for overcurrent),
+    """Read `board`, `board silent`, and as options `fed 31 33`, `lost 32`, `taken 32`, `refused 12` (for overcurrent),
     `drew 31`, `supplied 31`, `doubt why`, `rests no` (by default a powered servo was seen at rest)."""
     refused = tuple((servo_id, "overcurrent") for servo_id in ids(options.get("refused", "none")))
     fed, lost = (frozenset(ids(options.get(name, usual))) for name, usual in (("fed", "all"), ("lost", "none")))
@@ -295,13 +295,13 @@ def _board(_: Scenes, words: str, options: Options) -> events.PowerSeen:
 
 
 def _body(_: Scenes, words: str, options: Options) -> events.BodyMeasured:
-    """`body 31` (its tilt in degrees), `body unknown`, `body 0 (battery 6.9)`."""
+    """Read `body 31` (its tilt in degrees), `body unknown`, `body 0 (battery 6.9)`."""
     tilt_cdeg = None if words == "unknown" else round(float(words) * 100)
     return events.BodyMeasured(tilt_cdeg, round(float(options.get("battery", 7.4)) * 1000))
 
 
 def _lease(_robot: Scenes, words: str, options: Options) -> events.LeaseRequest:
-    """`lease acquire anna (fresh token)`, `lease renew (token token)`, `lease release to bert (token token)`."""
+    """Read `lease acquire anna (fresh token)`, `lease renew (token token)`, `lease release to bert (token token)`."""
     verb, _, name = words.partition(" ")
     to = name.removeprefix("to ") if name.startswith("to ") else None
     source = name if name and to is None else None
@@ -310,7 +310,7 @@ def _lease(_robot: Scenes, words: str, options: Options) -> events.LeaseRequest:
 
 
 def change_of(words: str) -> CalibrationCommand:
-    """`32 trim -5 inverted + 33 trim 1 + landing 31 45`, or `nothing`; degrees."""
+    """Read `32 trim -5 inverted + 33 trim 1 + landing 31 45`, or `nothing`; degrees."""
     servos: dict[str, ServoChange] = {}
     landing: dict[str, float] = {}
     for each in words.split(" + ") if words != "nothing" else ():
@@ -323,7 +323,7 @@ def change_of(words: str) -> CalibrationCommand:
 
 
 def _calibrate(robot: Scenes, words: str, options: Options) -> events.Calibrate:
-    """`calibrate 32 trim -5 (revision 1, lease anna)`, `calibrate nothing (accept default)`."""
+    """Read `calibrate 32 trim -5 (revision 1, lease anna)`, `calibrate nothing (accept default)`."""
     revision = int(options["revision"]) if "revision" in options else None
     change = change_of(words).model_copy(update={"revision": revision, "accept_default": "accept" in options or None})
     event = events.Calibrate(number=robot.next_number(), change=change, lease=options.get("lease"))
@@ -332,13 +332,13 @@ def _calibrate(robot: Scenes, words: str, options: Options) -> events.Calibrate:
 
 
 def _kept(robot: Scenes, fault: str, _: Options) -> events.CalibrationSaved:
-    """The disk has answered for the latest change."""
+    """Return the disk's answer to the latest change."""
     saving = robot.supervisor.calibrating.saving
     return events.CalibrationSaved(0 if saving is None else saving[0].number, fault or None)
 
 
 def _reset(robot: Scenes, newer: str, options: Options) -> events.Reset:
-    """A reset that names the latest emergency stop, or one that is newer (or older, if negative) by so many."""
+    """Return a reset that names the latest emergency stop, or one that is this much newer (older, if negative)."""
     estop = robot.supervisor.latch.number + int(newer or 0)
     return events.Reset(number=robot.next_number(), estop=estop, lease=options.get("lease"))
 
@@ -359,7 +359,7 @@ STEPS: Final[dict[str, Callable[[Scenes, str, Options], events.Event]]] = {
     "calibrate": _calibrate,
     "kept": _kept,
 }
-"""What comes, by its first word."""
+"""The events, by their first word."""
 
 
 def _instant(robot: Scenes, words: str) -> tuple[object, object]:
@@ -391,4 +391,4 @@ FACTS: Final[dict[str, Callable[[Scenes, str], tuple[object, object]]]] = {
     "holder": lambda robot, name: (robot.supervisor.lease.holder or "nobody", name),
     "watchdogs": lambda robot, words: ([leg.watchdog for leg in robot.supervisor.legs], words.split()),
 }
-"""What is so behind the latest step, by its first word: found, and wanted."""
+"""The facts after the latest step, by their first word: what is found, and what is wanted."""
