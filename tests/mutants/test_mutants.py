@@ -3,7 +3,9 @@
 A sample of them is judged here, so that nothing of it rots between two runs of `make mutants`.
 """
 
+import os
 import re
+import select
 import subprocess
 import sys
 from collections import Counter
@@ -18,6 +20,8 @@ from tests.mutants.generated import Accepted, accepted, mutants_of, short
 from tests.mutants.judges import JUDGES
 from tests.mutants.judging import Outcome, Subject, verdicts
 from tests.mutants.operators import operators
+from tests.support.runs import children
+from tests.support.waiting import wait_until
 
 SAMPLED: Final = ("spi/guard", "core/body_limits")
 """Files whose tests are quick, and notice each mutant of them that is not accepted."""
@@ -153,3 +157,15 @@ def test_what_became_of_each(tmp_path: Path) -> None:
         ]
     ), done.stderr
     assert (tmp_path / "gateway/sums.py").read_text() == FILES["gateway/sums.py"], "no file is ever changed"
+
+
+def test_a_process_that_judges_ends_with_the_one_that_started_it(tmp_path: Path) -> None:
+    (tmp_path / "test_forever.py").write_text("while True:\n    pass\n")
+    subject = f"Subject(Path({str(tmp_path)!r}), 'gateway/sums.py', ('test_forever.py',), ())"
+    script = f"from pathlib import Path; from tests.mutants.judging import *; next(verdicts({subject}))"
+    with subprocess.Popen([sys.executable, "-c", script], cwd=ROOT) as runner:
+        wait_until(lambda: bool(children(runner.pid)))
+        ended = os.pidfd_open(*children(runner.pid))
+        runner.terminate()
+    assert select.select([ended], [], [], 30)[0], "it goes on judging"
+    os.close(ended)
