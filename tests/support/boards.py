@@ -1,4 +1,4 @@
-"""Simulated power boards: behind python-can in this process, behind slcan, in a process that records."""
+"""Simulated power boards: under python-can in this process, under slcan, and in a process that records."""
 
 import json
 import os
@@ -23,11 +23,11 @@ from tests.support.child import Child
 from tests.support.waiting import Closing
 
 _PASS_NS = 100_000
-"""A board that is faster than the real one."""
+"""The board's pass, faster than that of the real one."""
 
 
 class BoardBus(can.BusABC):
-    """All servos are fed at first."""
+    """A CAN bus with a power board, which feeds all servos at first."""
 
     def __init__(self, *, silent: bool = False) -> None:
         """`silent`: the board answers nothing."""
@@ -39,12 +39,12 @@ class BoardBus(can.BusABC):
         self.board.advance(now_ns)
         self.silent = silent
         self.failures: list[Exception] = []
-        """Raised by the next openings."""
+        """The errors that the next openings raise."""
         self.fails: Exception | None = None
-        """Raised by each attempt to send."""
+        """The error that each attempt to send raises."""
         self.tries = 0
         self.more: deque[can.Message] = deque()
-        """Received, as well as what the board answers."""
+        """Messages that are received besides the board's answers."""
         self.closed = threading.Event()
         self.sent: list[CanFrame] = []
         self.first_sent = threading.Event()
@@ -92,7 +92,7 @@ TICK_MS = 1
 
 
 class Adapter(Device):
-    """Serves until `unplug`."""
+    """An slcan adapter with a power board. It serves until `unplug`."""
 
     say = Device.write
 
@@ -135,7 +135,7 @@ class Adapter(Device):
 
 
 _MEANS: Final = {f"< t{SET_SUPPLY:03X}3": "mask", f"> t{SUPPLIED:03X}3": "answer", "= ": "fed"}
-"""What of the record is kept: masks that arrive, the board's answers to them, and what it feeds."""
+"""The lines of the record that are kept: masks that arrive, the board's answers to them, and what it feeds."""
 
 
 class Noted(NamedTuple):
@@ -159,7 +159,7 @@ def answers_steadily() -> Callable[[GatewayState], bool]:
 
 
 class RecordedBoard(Closing):
-    """It is behind slcan at `channel` when the constructor returns.
+    """A power board in a process, under slcan at `channel` when the constructor returns.
 
     Stopped (SIGSTOP) it is an adapter that takes nothing; killed, one that was unplugged.
     """
@@ -170,7 +170,7 @@ class RecordedBoard(Closing):
         record = folder / "record"
         os.mkfifo(record)
         self.noted: list[Noted] = []
-        """What has come up to now."""
+        """The lines so far."""
         self._read = 0
         self._changed = threading.Condition()
         self._reader = threading.Thread(target=self._follow, args=(record,), daemon=True)

@@ -1,4 +1,4 @@
-"""Scenes for the SPI bus (lines.py): what is done, and which calls the device then gets.
+"""Scenes for the SPI bus: what is done, and which calls the device then gets.
 
 A call is written as its zeros (`16z`), a leg's number for its Stop, `s` for servo 11's, `m` for a frame that moves, and
 `a` for an announcement alone.
@@ -45,9 +45,9 @@ class Bench(SpiDevice):
         self.batches: list[Batch] = []
         """The batches that were written, or failed."""
         self.calls: list[str] = []
-        """The same in words, until a scene has looked."""
+        """The calls in words since a scene last read them."""
         self.fails: Callable[[int, str], bool] = lambda _number, _call: False
-        """Whether a call fails, by its number since this was set, and its words."""
+        """Returns whether a call fails, by its number since this was set, and its words."""
         self.failure_ns = 0
         self.wire_takes_time = False
         """A call that succeeds takes what the wire needs."""
@@ -188,12 +188,12 @@ FACTS: Final[dict[str, Callable[[Bench], object]]] = {
     "whole": lambda bench: bench.bus.just_resynchronised,
     "looks": lambda bench: bench.looks,
 }
-"""What is so, by its first word; `sent 6?54` are the places of what was sent, with what may not have been received."""
+"""The facts, by their first word; `sent 6?54`: the places of what was sent, `?` where it may not have arrived."""
 
 
 T = TypeVar("T")
 FAULT: Final = "fault"
-"""The fact that a text contains; of the other facts, the text is equal."""
+"""The fact of which a scene has a part; of the others it has all."""
 
 
 def play(

@@ -23,7 +23,7 @@ from gateway.onboard.commands import setup_app
 
 
 class Ended(NamedTuple):
-    """How it ended."""
+    """A command's exit code and output."""
 
     returncode: int
     stdout: str

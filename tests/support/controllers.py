@@ -1,4 +1,4 @@
-"""The simulated controllers, with what a person at one sees and does; what is to be seen on the wire."""
+"""The simulated controllers, with what a person at one sees and does; and the transfers on the wire."""
 
 import random
 import time
@@ -13,7 +13,7 @@ from gateway.simulation.elkapod import GARBAGE, SimulatedElkapod
 
 
 def _power_cycle(servos: SimulatedServos) -> None:
-    """Switch all off. They know no angle afterwards."""
+    """Switch all servos off. They know no angle afterwards."""
     for servo_id, servo in servos.items():
         servo.target_deg = servo.pulse_us = None
         servos.stop(servo_id)
@@ -115,7 +115,7 @@ class Elkapod(SimulatedElkapod):
         return frozenset(servo_id for servo_id, servo in self.servos.items() if servo.energised)
 
     def power_cycle(self, *, off_ns: int = 0, first_answer: bytes = GARBAGE) -> None:
-        """Somebody switches it off, and on after `off_ns`: servos slack, and all angles forgotten.
+        """Switch it off, and on after `off_ns`: servos slack, and all angles forgotten.
 
         Meanwhile it hears nothing, sends no heartbeat, and MISO is low.
         """
@@ -129,7 +129,7 @@ class Elkapod(SimulatedElkapod):
 
 
 class FaultyController(Controller):
-    """Each fault lasts from when it is asked for; of a transfer that fails, the controller sees no byte."""
+    """A controller with faults, each from when it is asked for. It sees no byte of a transfer that fails."""
 
     def __init__(
         self,
@@ -146,7 +146,7 @@ class FaultyController(Controller):
         self._failing_transfers = 0
         self._failing_until_ns = clock()
         self.all_off_ns: int | None = None
-        """When the last servo was off, since this was last None."""
+        """When the last servo was switched off, since a test set this to None."""
 
     def fail_next(self, count: int) -> None:
         self._failing_transfers = count

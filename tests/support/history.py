@@ -189,7 +189,7 @@ class ServoHistory:
     source: str | None = None
     """Who started or set it last."""
     eases: bool = False
-    """Whether it has not arrived since another source commanded it, or since its start at an angle that was known."""
+    """Whether it is still on its way since another source commanded it, or since its start at a known angle."""
     stood_cdeg: int | None = None
     """Its angle when it was stopped; None: unknown."""
     stood_ns: int = 0

@@ -1,4 +1,4 @@
-"""A gateway's threads, of which one runs at a time: the test chooses who goes on at each lock, ring and transfer.
+"""A gateway's threads, one at a time: the test chooses which continues at each lock, ring and transfer.
 
 The threads are real, and so are the conductor, the inbox and its receiver threads. Locks, rings, loop and device are
 small ones that give way at each use. So every order in which threads can own the state can be had, and had again.
@@ -21,7 +21,7 @@ from gateway.robot.spi import Batch
 from tests.support.controllers import Controller
 
 PATIENCE_S: Final = 10.0
-"""A thread that comes to no further point in this time hangs."""
+"""A thread that reaches no further point in this time hangs."""
 
 
 @dataclass
@@ -93,7 +93,7 @@ class Stage:
 
 
 class SteppedLock:
-    """A lock that anybody may take before whoever waits for it longest, as Python's."""
+    """A lock that is unfair, as Python's: any thread may take it before the one that has waited longest."""
 
     def __init__(self, stage: Stage) -> None:
         self._stage = stage
@@ -116,7 +116,7 @@ class SteppedLock:
 
 
 class Payload(bytes):
-    """Zenoh's, as far as the inbox looks at it."""
+    """A sample's payload, as far as the inbox reads it."""
 
     def to_bytes(self) -> bytes:
         return self
@@ -124,7 +124,7 @@ class Payload(bytes):
 
 @dataclass
 class Sample:
-    """The same of a sample."""
+    """A sample of Zenoh, as far as the inbox reads it."""
 
     key_expr: str
     payload: Payload = field(default_factory=Payload)
@@ -157,7 +157,7 @@ class Ring:
 
 
 class Wakeups:
-    """A queue: who waits at it for a time may go on at any."""
+    """A queue: a thread that waits for it with a timeout may continue at any time."""
 
     def __init__(self, stage: Stage) -> None:
         self._stage = stage
@@ -180,7 +180,7 @@ class Wakeups:
 
 
 class Rings:
-    """As much of a session as the inbox wants: its rings."""
+    """A session, as far as the inbox needs one: its rings."""
 
     def __init__(self, stage: Stage) -> None:
         self.puts = defaultdict[str, Ring](partial(Ring, stage))
@@ -195,7 +195,7 @@ class Rings:
 
 @dataclass
 class Timer:
-    """One of a loop's."""
+    """A timer of a loop."""
 
     run: Callable[[], object]
     cancelled: bool = False
@@ -205,7 +205,7 @@ class Timer:
 
 
 class SteppedLoop:
-    """As much of an event loop as the gateway's owners use. Its time passes when it has nothing else to do."""
+    """An event loop, as far as the gateway's owners use one. Its time passes when it has nothing else to do."""
 
     def __init__(self, stage: Stage) -> None:
         self._stage = stage
@@ -260,7 +260,7 @@ class SteppedLoop:
 
 
 class SteppedController(Controller):
-    """Gives way before each batch, in which nobody else may write."""
+    """A controller that gives way before each batch, in which no other thread may write."""
 
     def __init__(self, stage: Stage, clock: Callable[[], int]) -> None:
         super().__init__(Framing.PLAIN, clock=clock)

@@ -20,14 +20,14 @@ ALL_SERVOS = frozenset(SERVO_IDS)
 NONE: frozenset[int] = frozenset()
 CONFIRM_MS = 150
 FLIGHT_NS = 200_000
-"""Of a frame, with an adapter on USB."""
+"""How long a frame is on its way, with an adapter on USB."""
 LOOK_NS = 10 * NS_PER_MS
 MOST_AT_ONCE = 1000
 """Events without any time between them: more are a side that is due for ever."""
 
 
 class Link:
-    """Carries frames both ways, and calls each side when it is due."""
+    """A CAN link that carries frames both ways, and calls each side when it is due."""
 
     def __init__(
         self,
@@ -42,18 +42,18 @@ class Link:
         self.ours = PowerBoard(tuple(outputs), confirm_ns=round(confirm_ms * NS_PER_MS))
         self.board = SimulatedBoard(pass_ns=pass_ns)
         self.altered: Callable[[CanFrame], CanFrame] = lambda frame: frame
-        """What we receive in place of an answer."""
+        """Returns what the gateway receives in place of an answer."""
         self.hangs = False
-        """Our sender hangs: nobody asks what is due."""
+        """Whether the gateway's sender hangs: nobody asks what is due."""
         self.cable = True
         self.deaf = False
         """The board answers questions, and gets no mask."""
         self.second: SimulatedBoard | None = None
         """A second board on the bus."""
         self.hears = True
-        """Whether we hear the board; it hears us all the same."""
+        """Whether the gateway receives from the board, which always receives from the gateway."""
         self.sent: list[tuple[int, CanFrame]] = []
-        """What we sent, and when."""
+        """The gateway's frames, with their times."""
         self.told: list[tuple[int, News | Confirmed]] = []
         self._outputs, self._flight_ns, self._between_ns = outputs, flight_ns, look_ns
         self._flying: list[tuple[int, int, bool, CanFrame]] = []

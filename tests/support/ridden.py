@@ -23,9 +23,9 @@ from tests.support.walked import TICK_S
 
 ROBOT: Final = Robot(load())
 WHOLE: Final = Robot(load(), starts_whole=True)
-"""Its legs start and stop together only."""
+"""A robot whose legs only start and stop together."""
 FED_SINGLY: Final = Robot(load(), fed_singly=True)
-"""A board feeds its servos, each from its start on."""
+"""A robot whose power board feeds each servo from its start on."""
 WATCHDOG_S: Final = 0.25
 _NEAR_M: Final = 0.045
 """Above the lowest foot: a foot in mid-swing counts as one that can be put down."""
@@ -33,7 +33,7 @@ _LOW_M: Final = 0.005
 
 
 class Ridden:
-    """`tick` is one turn of the shell."""
+    """A ride with its shell, of which `tick` is one turn, and a gateway."""
 
     def __init__(
         self,
@@ -58,14 +58,14 @@ class Ridden:
         self.sent: list[Pose] = []
         self.lies = not self.running
         self._streams: frozenset[int] = frozenset()
-        """What a stream would call started."""
+        """The legs that a stream would call started."""
         self._over: GatewayError | None = None
         self._commanded_s = self.now_s
 
     # ---- what others do
 
     def stop(self, legs: Iterable[int] = LEGS, hides: Collection[int] = ()) -> None:
-        """Somebody stops these; the next report leaves out `hides`."""
+        """Stop these legs, as somebody else would; the next report leaves out `hides`."""
         for leg in LEGS if self._robot.starts_whole else legs:
             self.running.pop(leg, None)
         self.hides = hides

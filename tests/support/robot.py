@@ -69,7 +69,7 @@ class Robot(Messages):
         merged = {**sections, "spi": {**shortest, **spi}}
         self.settings = Settings.of(merged)
         self.each_takes_ns = 0
-        """How long it takes to deal with one message."""
+        """How long handling one message takes."""
         self.loop = asyncio.get_running_loop()
         self._instants = 0  # a nanosecond for each message, so that no two share an instant by accident
         self.controller = FaultyController(self.settings.spi.framing, clock=self.now_ns, spend=self._pause)
@@ -179,7 +179,7 @@ class Robot(Messages):
         return answers
 
     def ask_later(self, key: str, payload: object = b"", **more: Any) -> list[Ack]:
-        """As `get`, waiting for the next tick."""
+        """Put an acknowledged command that waits for the next tick. Return the list that its answer will be in."""
         answers: list[Ack] = []
         take = answers.append
         self.put_later(key, payload, verb=Verb.GET, reply=lambda data: take(Ack.model_validate_json(data)), **more)
@@ -280,7 +280,7 @@ def servo(op: str, angle_deg: float | None = None, **more: Any) -> dict[str, Any
 
 
 class ElkapodRobot(Robot):
-    """Its gateway has begun; frames go from then on."""
+    """A robot of elkapod-2025 whose gateway has begun; frames go from then on."""
 
     def __init__(self, sections: Mapping[str, Mapping[str, Any]] | None = None) -> None:
         sections = sections or {}

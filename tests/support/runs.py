@@ -21,7 +21,7 @@ ENDS_WITH_US: Final = (
     *("setpriv", "--pdeathsig", "KILL"),
     *("unshare", "--mount", "--pid", "--fork", "--kill-child", "--mount-proc"),
 )
-"""What a command starts ends with it, and the command with this process, however that ends. Needs root."""
+"""A prefix with which a command's processes end with it, and it with this process. Needs root."""
 LIST: Final = "TESTS_FAILED"
 """The environment variable that names the list, for the stages."""
 _WIDTH, _MOST = 200, 20
@@ -53,9 +53,9 @@ def add(report: "pytest.TestReport") -> None:
 
 MARK: Final = "TESTS_RUN"
 PATIENCE_S: Final = {signal.SIGTERM: 10.0, signal.SIGKILL: 5.0}
-"""How long each has to work. After the first, a browser writes its profile, and a box takes its mounts away."""
+"""How long each signal has to work. After the first, a browser writes its profile, a box removes its mounts."""
 LOOK_S: Final = 0.5
-"""What ends may start something: after so long it is looked for anew, where nothing has ended before."""
+"""How often processes are looked for if none ends: one that ends may start another."""
 
 
 class Run(Closing):

@@ -1,4 +1,4 @@
-"""A walking engine under test: after each of its ticks, what must hold on every one is checked."""
+"""A walking engine under test, with checks of what must hold after each tick."""
 
 import copyreg
 import math

@@ -55,7 +55,7 @@ def _for_python(env: Mapping[str, str]) -> dict[str, str]:
 
 
 class Forked:
-    """What `Child` uses of `subprocess.Popen`, of a fork."""
+    """A fork with the part of `subprocess.Popen` that `Child` uses."""
 
     def __init__(
         self, command: Sequence[str], env: Mapping[str, str], cwd: Path | None, pass_fds: Sequence[int]
