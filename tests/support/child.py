@@ -18,21 +18,17 @@ from tests.support.waiting import Closing
 class Child(Closing):
     """A running program. Threads read what it prints, so it never stalls on a full pipe."""
 
-    def __init__(
-        self, command: Sequence[str], env: Mapping[str, str], cwd: Path | None = None, descriptors: Sequence[int] = ()
-    ) -> None:
-        """`descriptors` stay open in it, under the same numbers."""
+    def __init__(self, command: Sequence[str], env: Mapping[str, str], cwd: Path | None = None) -> None:
         self.command = list(command)
         env = {MARK: os.environ.get(MARK, ""), **env}  # so that it ends with the run, whatever becomes of this process
         self._popen: zygote.Forked | subprocess.Popen[str]
         if zygote.fits(self.command, env):
-            self._popen = zygote.Forked(self.command, env, cwd, descriptors)
+            self._popen = zygote.Forked(self.command, env, cwd)
         else:
             self._popen = subprocess.Popen(
                 self.command,
                 env=env,
                 cwd=cwd,
-                pass_fds=descriptors,
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,

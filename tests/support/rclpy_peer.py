@@ -54,10 +54,10 @@ ENV: Final = {"FASTDDS_DEFAULT_PROFILES_FILE": str(PROFILE), "RMW_IMPLEMENTATION
 class RclpyPeer(Closing):
     """The end that a test holds. What it is asked for, the `Actor` in the process does."""
 
-    def __init__(self, domain: int = DOMAIN, module: str = "tests.support.rclpy_peer", **env: str) -> None:
+    def __init__(self, domain: int = DOMAIN) -> None:
         _remove_half_made()
-        own = {**clean(), "PYTHONPATH": str(ROOT), **ENV, **env}
-        self.child = Child([PYTHON, "-m", module, str(domain)], own)
+        own = {**clean(), "PYTHONPATH": str(ROOT), **ENV}
+        self.child = Child([PYTHON, "-m", "tests.support.rclpy_peer", str(domain)], own)
         self.child.wait_for_output(PEER_READY)
 
     def close(self) -> None:
@@ -110,18 +110,11 @@ def packed(message: Any) -> str:
 class RclpyBridge(Closing):
     """A running bridge by rclpy."""
 
-    def __init__(
-        self,
-        gateway: Gateway,
-        *arguments: str,
-        domain: int = DOMAIN,
-        env: dict[str, str] | None = None,
-        by: Sequence[str] = (),
-    ) -> None:
-        """`env` is added to the environment; `by` is a command that starts it."""
+    def __init__(self, gateway: Gateway, *arguments: str, domain: int = DOMAIN, by: Sequence[str] = ()) -> None:
+        """Start it, if `by` is given by this command."""
         _remove_half_made()
         link = ("--connect", gateway.endpoint, "--domain", str(domain))
-        self.child = Child([*by, *RCLPY_COMMAND, "ros2", *link, *arguments], clean() | ENV | (env or {}))
+        self.child = Child([*by, *RCLPY_COMMAND, "ros2", *link, *arguments], clean() | ENV)
         self.child.wait_for_output(READY)
 
     def close(self) -> None:

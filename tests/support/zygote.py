@@ -3,8 +3,8 @@
     python -m tests.support.zygote FD      serves requests that come by this socket
 
 `Child` starts `python -m gateway …` and `python -m tests.…` so. A fork has the request's environment, folder and
-descriptors, none of the server's files, and ends as any Python does. The server is one thread, so that nothing in it is
-half done when it forks. `ZYGOTE=no` starts each program by itself, as users do.
+standard streams, none of the server's files, and ends as any Python does. The server is one thread, so that nothing in
+it is half done when it forks. `ZYGOTE=no` starts each program by itself, as users do.
 """
 
 import atexit
@@ -36,7 +36,8 @@ _ONE_THREAD: Final = {"OPENBLAS_NUM_THREADS": "1"}
 """NumPy starts a thread for each processor when it is imported."""
 _MOST: Final = 1 << 17
 """A request's bytes: most of them are the environment."""
-_DESCRIPTORS: Final = 64
+_DESCRIPTORS: Final = 4
+"""A request's: stdin, stdout and stderr of the program, and the socket that gets its process id and exit status."""
 
 
 def fits(command: Sequence[str], env: Mapping[str, str]) -> bool:
@@ -57,9 +58,7 @@ def _for_python(env: Mapping[str, str]) -> dict[str, str]:
 class Forked:
     """A fork with the part of `subprocess.Popen` that `Child` uses."""
 
-    def __init__(
-        self, command: Sequence[str], env: Mapping[str, str], cwd: Path | None, pass_fds: Sequence[int]
-    ) -> None:
+    def __init__(self, command: Sequence[str], env: Mapping[str, str], cwd: Path | None) -> None:
         self.returncode: int | None = None
         self._lock = threading.Lock()
         pipes = [os.pipe() for _ in range(3)]
@@ -70,10 +69,9 @@ class Forked:
             "arguments": list(command[3:]),
             "env": dict(env),
             "cwd": str(cwd or Path.cwd()),
-            "numbers": [0, 1, 2, *pass_fds],
         }
         with end:
-            _server(env).ask(request, [*theirs, *pass_fds, end.fileno()])
+            _server(env).ask(request, [*theirs, end.fileno()])
         for each in theirs:
             os.close(each)
         ours = (pipes[0][1], "w"), (pipes[1][0], "r"), (pipes[2][0], "r")
@@ -230,13 +228,11 @@ def _ended(pidfd: int, pid: int, end: socket.socket) -> None:
 
 def _become(request: Mapping[str, Any], descriptors: Sequence[int]) -> None:
     """Be the process that was asked for, up to its first line of code."""
-    numbers: list[int] = request["numbers"]
-    beyond = max(*numbers, *descriptors) + 1
-    moved = [fcntl.fcntl(each, fcntl.F_DUPFD, beyond) for each in descriptors]
-    for descriptor, number in zip(moved, numbers, strict=True):
+    moved = [fcntl.fcntl(each, fcntl.F_DUPFD, 3) for each in descriptors]
+    for number, descriptor in enumerate(moved):
         os.dup2(descriptor, number, inheritable=True)
     for name in os.listdir("/proc/self/fd"):
-        if int(name) not in numbers:
+        if int(name) > 2:
             with suppress(OSError):  # the one by which the folder was read
                 os.close(int(name))
     os.environ.clear()
@@ -244,9 +240,8 @@ def _become(request: Mapping[str, Any], descriptors: Sequence[int]) -> None:
     time.tzset()
     os.chdir(request["cwd"])
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    for stream, mode, buffering in (("stdin", "r", -1), ("stdout", "w", -1), ("stderr", "w", 1)):
+    for number, (stream, mode, buffering) in enumerate((("stdin", "r", -1), ("stdout", "w", -1), ("stderr", "w", 1))):
         old: TextIO = getattr(sys, stream)
-        number = ("stdin", "stdout", "stderr").index(stream)
         new = open(number, mode, buffering, encoding="utf-8", errors=old.errors, closefd=False)  # noqa: SIM115
         setattr(sys, stream, new)
         setattr(sys, f"__{stream}__", new)
