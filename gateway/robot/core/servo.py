@@ -76,7 +76,7 @@ class Servo:  # mutants accepted (Step): set before it is read
     pace_cdeg_s: int | None = None
     """The highest speed to its present target (take-over, landing), besides its own limit; None: no such limit."""
     since_ns: int = 0
-    """When the time for its next step begins."""
+    """When the time for its next step begins, if its speed is limited."""
     passing_cdeg: int | None = None
     """Its computed angle within a range that is never sent, at whose near end it waits."""
     sender: Sender = NOBODY
@@ -173,11 +173,13 @@ class Servo:  # mutants accepted (Step): set before it is read
         self.angle_cdeg = self.target = self.from_cdeg = self.passing_cdeg = self.pace_cdeg_s = None
 
 
-def moved(servos: Mapping[int, Servo], targets: Targets, now_ns: int) -> None:
-    """Record frames that move running servos without a target to other angles. Raises IllegalTransition at another."""
+def moved(servos: Mapping[int, Servo], targets: Targets) -> None:
+    """Record frames that move running servos without a target to other angles. Raises IllegalTransition at another.
+
+    No limit of their speed applies, so the time for a next step is not kept.
+    """
     for servo_id, op in targets:
         servo = servos[servo_id]
         if servo.life is not RUNNING or servo.target is not None:
             raise IllegalTransition(f"servo {servo_id} is {servo.life}, and a frame moves it")
         servo.angle_cdeg = op.angle_cdeg
-        servo.since_ns = now_ns

@@ -247,7 +247,7 @@ class Supervisor:
                 return None
         if limits.limited and not limits.are_free(command.targets):
             return None
-        moved(legs.servos, command.targets, now_ns)
+        moved(legs.servos, command.targets)
         for frame in frames:
             leg = by_number[frame.leg]
             leg.commanded_ns = now_ns

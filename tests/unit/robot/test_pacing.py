@@ -245,7 +245,7 @@ def test_only_a_running_servo_without_a_target_goes_the_usual_way() -> None:
         servo = in_state(life)
         before = values(servo)
         with pytest.raises(IllegalTransition):
-            moved({servo.servo_id: servo}, ((servo.servo_id, SETS[40_00]),), 9)
+            moved({servo.servo_id: servo}, ((servo.servo_id, SETS[40_00]),))
         assert values(servo) == before
 
 
