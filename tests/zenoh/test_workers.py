@@ -91,6 +91,7 @@ def test_what_is_named_is_there() -> None:
         ("zenoh/test_a.py", "pytestmark = pytest.mark.full", TEST, True),
         ("zenoh/test_a.py", "pytestmark = pytest.mark.full", ALL, False),
         ("zenoh/test_a.py", "pytestmark = [\n    pytest.mark.hil,\n    pytest.mark.nightly,\n]", ALL, True),
+        ("zenoh/test_a.py", "pytestmark = pytest.mark.hil\n\n@pytest.mark.nightly\ndef test_a(): ...", ALL, False),
         ("hil/test_a.py", "", TEST, True),
         ("walking/test_a.py", "", ALL, True),
         ("zenoh/test_a.py", "", "alone and not nightly", True),

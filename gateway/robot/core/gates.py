@@ -7,7 +7,7 @@ from gateway.robot.core.leg import Leg
 from gateway.robot.core.rules import Rules
 from gateway.robot.core.servo import OFF, WAITING, Servo
 
-NEVER: Final = 2**63
+NEVER: Final = 2**63  # mutants accepted (Step): any that is later than all times
 """Later than any time."""
 
 
