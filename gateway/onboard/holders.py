@@ -40,11 +40,10 @@ class Holder(NamedTuple):
 
 
 class OpenFiles:
-    """The open files of all processes. Links are read, which waits for no disk."""
+    """The open files of all processes, read at the first question. Links are read, which waits for no disk."""
 
     @cached_property
-    def pids(self) -> dict[str, set[int]]:
-        """The processes that have each file open; as they are at the first question, with the rights of then."""
+    def _pids(self) -> dict[str, set[int]]:
         found: dict[str, set[int]] = {}
         for process in _PROC.glob("[0-9]*"):
             with suppress(OSError):  # it has ended, or is another user's
@@ -53,9 +52,13 @@ class OpenFiles:
                         found.setdefault(os.readlink(process / "fd" / name), set()).add(int(process.name))
         return found
 
+    def look(self) -> None:
+        """Read now, with root's rights, for questions without them."""
+        _ = self._pids
+
     def holders(self, path: str) -> list[Holder]:
         """Return who has this file open, also by its path in a container."""
-        return self._described(*(each for each in self.pids if each.endswith(os.path.realpath(path))))
+        return self._described(*(each for each in self._pids if each.endswith(os.path.realpath(path))))
 
     def listeners(self, endpoint: str) -> list[Holder]:
         """Return who listens on this port of `tcp/127.0.0.1:7447`, on the same or on all addresses."""
@@ -73,7 +76,7 @@ class OpenFiles:
         return self._described(*sockets)
 
     def _described(self, *links: str) -> list[Holder]:
-        pids = sorted({pid for link in links for pid in self.pids.get(link, ())} - {os.getpid()})
+        pids = sorted({pid for link in links for pid in self._pids.get(link, ())} - {os.getpid()})
         return list(map(_describe, pids))
 
 

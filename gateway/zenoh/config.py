@@ -85,7 +85,7 @@ def client_config(endpoint: str | None, file: Path | None = None) -> zenoh.Confi
     try:
         config.insert_json5("connect/endpoints", json.dumps([*map(with_interface, dialled)]))
     except zenoh.ZError as error:
-        raise ConfigError(f'"{endpoint}" is no endpoint, such as {DEFAULT_ENDPOINT}') from error
+        raise ConfigError(f'"{", ".join(dialled)}" is no endpoint, such as {DEFAULT_ENDPOINT}') from error
     insert(config, "listen/endpoints", [], "listen")
     scouting_and_shared_memory_off(config)
     insert(config, "connect/retry", RETRY, "connect.retry")

@@ -44,7 +44,7 @@ def check(config: Path | None, *, as_json: bool = False) -> int:
     show_line("reading the files of the installed release …")
     installed = whole.CURRENT.is_dir() or robot.unit.get("LoadState") == "loaded"
     seen = list(results(robot, *installation.AS_ROOT)) if installed else []  # root sees it all
-    _ = robot.open_files.pids  # with root's rights, for questions without them
+    robot.open_files.look()
     clear_line()
     _go_on_as_the_service(robot)
     return report(run(config, robot, seen), "run the service", as_json=as_json)

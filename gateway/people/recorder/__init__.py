@@ -25,15 +25,17 @@ class RecordOptions(NamedTuple):
         bool,
         typer.Option("--live", help="Show it live in Foxglove or Lichtblick on this machine; FILE is optional then."),
     ] = False
-    csv: Annotated[bool, typer.Option("--csv", help="Also write all commanded angles as a table: FILE with .csv.")] = (
-        False
-    )
+    csv: Annotated[
+        bool,
+        typer.Option("--csv", help="Also write all commanded angles as a table: FILE with .csv."),
+    ] = False
     port: Annotated[
         int, typer.Option(metavar="N", min=0, max=65535, help="The port of --live on 127.0.0.1; 0: any free port.")
     ] = 8765
-    seconds: Annotated[float | None, typer.Option("--for", metavar="S", min=0, help="End after this many seconds.")] = (
-        None
-    )
+    seconds: Annotated[
+        float | None,
+        typer.Option("--for", metavar="S", min=0, help="End after this many seconds."),
+    ] = None
     camera: Annotated[
         list[str] | None,
         typer.Option(metavar="[NAME=]URL", help="Also record a camera's MJPEG stream. Repeatable."),

@@ -336,15 +336,25 @@ class Recorder:
                 and 0 <= waited_ns < form.NO_STEP
             ):
                 token = 0 if event.lease is None else token_number(event.lease)
-                self._command(event, after_ns=after_ns, waited_ns=waited_ns, lease=token, ended=ended)
+                self._command(event, after_ns, waited_ns, token, ended)
                 return
             self._command(event)
         self._append(form.STEP, now_ns, form.step(instant_ns, to_json(plain_event(event)), ended))
 
-    def _command(self, request: Request, **of_step: Any) -> None:
-        """Record a request; `of_step` is what `form.command` takes of its step, if it has one."""
-        fixed = request.number, request.verb, request.key, request.source, request.sent_ms, request.targets
-        self._append(form.COMMAND, request.received_ns, form.command(*fixed, source_id=request.source_id, **of_step))
+    def _command(
+        self,
+        one: Request,
+        after_ns: int = form.NO_STEP,
+        waited_ns: int = 0,
+        lease: int = 0,
+        ended: Sequence[tuple[int, str]] = (),
+    ) -> None:
+        """Record a request, with its step if it has one."""
+        of_step = after_ns, waited_ns, lease, ended
+        fields = form.command(
+            one.number, one.verb, one.key, one.source, one.sent_ms, one.targets, one.source_id, *of_step
+        )
+        self._append(form.COMMAND, one.received_ns, fields)
 
     def broke(self, taken: Taken) -> None:
         """Record the event that broke the gateway, unless its step is recorded."""
