@@ -199,7 +199,7 @@ def test_stops_come_in_the_framing_that_the_controller_understands(
 def test_check_move_shows_that_a_driver_ignores_cs_change_and_what_to_do(
     tmp_path: Path, spi_testbed: SpiTestbed
 ) -> None:
-    """Whoever looks on sees what a controller does that takes one frame while chip select is held."""
+    """The record shows a controller that takes only one frame while chip select is asserted: the others are lost."""
     wire = Wire(spi_testbed)
     spi_testbed.ignore_cs_change()
     with Gateway(tmp_path, settings_for(wire), bed=spi_testbed) as gateway:

@@ -146,7 +146,7 @@ TAKEOVERS: Final = {
         220 leg 3 stop (source anna)
         1000 time
         2220 leg 3 start 160 (source anna) → command 3 start 20; …""",
-    "later nobody knows where it hangs": f"""{ANNAS}
+    "after that its angle is unknown": f"""{ANNAS}
         220 leg 3 stop (source anna)
         1000 time
         2221 leg 3 start 160 (source anna) → command 3 start 160; …""",
@@ -160,7 +160,7 @@ TAKEOVERS: Final = {
         {HELD}
         220 servo 31 set 160 (source bert)
         960 pass → …; watchdog 31 set 90; …""",
-    "behind a fault of the bus nobody knows which frame was the last": f"""{ANNAS}
+    "after a bus fault its last frame is unknown": f"""{ANNAS}
         220 servo 31 set 25 (source anna)
         220 fail
         240 open
